@@ -54,3 +54,17 @@ def is_restricted(identifier: int) -> bool:
         or 0x6E0 <= identifier <= 0x6FF
         or identifier >= 0x701
     )
+
+
+def predefined_bases(index: int, subindex: int) -> tuple[int, ...]:
+    """Return the function codes that identify a node's own COB-IDs in this object; (): none do.
+
+    Source: CiA 301, 7.3.5, pre-defined connection set. A PDO of any number may have any of its PDO
+    identifiers.
+    """
+    if (index, subindex) == (0x1014, 0):
+        return (0x080,)
+    if index == 0x1200:
+        return {1: (0x600,), 2: (0x580,)}.get(subindex, ())
+    is_pdo = 0x1400 <= index <= 0x15FF or 0x1800 <= index <= 0x19FF
+    return tuple(range(0x180, 0x580, 0x80)) if is_pdo and subindex == 1 else ()

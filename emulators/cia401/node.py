@@ -20,6 +20,9 @@ have the two device types). A counter is therefore 6020h + 800h, "position value
 devices", and its preset 6010h + 800h. Field bus couplers with counter modules use the same objects
 (Turck BL20 among them), so other programs know them. The speed value of CiA 406 is left out: its 16
 bits contain less than two counts of 32.
+
+Our own EDS is reduced to the channels of the rig. A vendor's EDS is served as it is: objects above
+that the file lacks are invisible, and outputs without a channel are plain values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,7 +43,12 @@ from motorhil.emulators.canopen.object_dictionary import (
 )
 from motorhil.emulators.canopen.outbox import NEVER, NodeTiming
 from motorhil.emulators.cia401.channel import FAULT, READY, STIMULI, Channel
-from motorhil.emulators.cia401.settings import CHANNELS_MAX, NodeSettings, read_settings
+from motorhil.emulators.cia401.settings import (
+    CHANNELS_MAX,
+    OWN_EDS,
+    NodeSettings,
+    read_settings,
+)
 from motorhil.emulators.controller import (
     Controller,
     ControllerContext,
@@ -61,7 +69,8 @@ _ERROR_VALUE_8: Final = 0x6207
 _ERROR_MODE: Final = 0x6443
 _ERROR_VALUE: Final = 0x6444
 _BY_CHANNEL: Final = (ANALOGUE_OUTPUT, _ERROR_MODE, _ERROR_VALUE, PRESET, POSITION)
-_INDISPENSABLE: Final = ((INPUTS, 1), (OUTPUTS, 1), (ANALOGUE_OUTPUT, 1), (POSITION, 1))
+_LINKED: Final = (ANALOGUE_OUTPUT, POSITION)
+_OF_AN_IO_NODE: Final = ((INPUTS, 1), (OUTPUTS, 1), (ANALOGUE_OUTPUT, 1), (POSITION, 1))
 _INVALID: Final = 1 << 31
 _PREFIX: Final = ("", "channel_2_", "channel_3_", "channel_4_")  # of stimuli and truth, by channel
 _D = DataType
@@ -264,6 +273,10 @@ class IoNode:
         """Return a number that increases with every change of `identifiers`."""
         return self._node.identifiers_revision()
 
+    def tell(self, events: Sequence[tuple[str, str]]) -> None:
+        """Add events of the node's making to those of `take_events`."""
+        self._events += events
+
     # --- NodeHost
 
     def on_nmt(self, state: int, now_ns: int) -> None:
@@ -373,12 +386,14 @@ def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) 
     except EdsError as error:
         place = f"{error.path}:{error.line}" if error.line else str(error.path)
         raise SettingError(("eds",), f"{place}: {error.text}", error.remedy) from error
-    od = _dictionary(description, len(settings.channels))
-    missing = [f"{index:04X}h:{sub}" for index, sub in _INDISPENSABLE if od.get(index, sub) is None]
-    if missing:
+    is_own = settings.eds == OWN_EDS
+    channels = len(settings.channels)
+    od = _dictionary(description, channels) if is_own else description.dictionary()
+    if not any(od.get(index, subindex) for index, subindex in _OF_AN_IO_NODE):
+        missing = ", ".join(f"{index:04X}h:{subindex}" for index, subindex in _OF_AN_IO_NODE)
         raise SettingError(
             ("eds",),
-            f"{settings.eds} has no {', '.join(missing)}: it is not the EDS of an I/O node",
+            f"{settings.eds} has none of {missing}: it is not the EDS of an I/O node",
             "leave eds out to use the built-in one",
         )
     for wanted in settings.objects:
@@ -386,11 +401,31 @@ def build_node(settings: NodeSettings, memory: NonvolatileMemory | None = None) 
     events = [("warning", f"{path}:{line}: {text}") for path, line, text in description.warnings]
     if not settings.oscillator.is_ideal():
         events.append(("info", settings.oscillator.told()))
-    return IoNode(od, settings, events, memory)
+    node = IoNode(od, settings, events, memory)
+    if not is_own:
+        stated = [(wanted.index, wanted.subindex) for wanted in settings.objects]
+        lines = _unconnected(od, settings.eds.name, channels) + description.supplied(od, stated)
+        node.tell([("info", line) for line in lines])
+    return node
+
+
+def _unconnected(od: ObjectDictionary, file: str, channels: int) -> list[str]:
+    """Return which channels a vendor's file does not reach, and which outputs drive nothing."""
+    notes = []
+    for number in range(1, channels + 1):
+        lacking = [f"{index:04X}h:{number}" for index in _LINKED if od.get(index, number) is None]
+        if lacking:
+            text = f"{file} has no {', '.join(lacking)}: no host reaches this part"
+            notes.append(f"channel {number}: {text}; expected only of digital I/O")
+    spare = [sub for sub in od.subindices(ANALOGUE_OUTPUT) if sub > channels]
+    if spare:
+        names = ", ".join(f"{ANALOGUE_OUTPUT:04X}h:{sub}" for sub in spare)
+        notes.append(f"{names} of {file} drive no motor: the node has {channels} channels")
+    return notes
 
 
 def _dictionary(description: DeviceDescription, channels: int) -> ObjectDictionary:
-    """Return the file's dictionary, reduced to this number of channels."""
+    """Return our own file's dictionary, reduced to this number of channels."""
     whole = description.dictionary()
     od = ObjectDictionary()
     od.dummies = whole.dummies

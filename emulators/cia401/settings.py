@@ -12,7 +12,7 @@ from typing import Any, Final, final
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.oscillator import Oscillator
-from motorhil.emulators.settings.motor import SERVO_S
+from motorhil.emulators.settings.motor import SERVO_S, check_steps
 from motorhil.emulators.settings.tables import (
     PLANT,
     POSITION_RAD,
@@ -152,7 +152,11 @@ class NodeTable(CanopenTable):
             check_position(position_rad, plant, path)
         AmplifierTable(**self.amplifier).channel(plant, 0.0, ("amplifier",))  # by its own keys
         amplifier = AmplifierTable(**{**self.amplifier, **own.amplifier})
-        return amplifier.channel(plant, position_rad, (*path, "amplifier"))
+        settings = amplifier.channel(plant, position_rad, (*path, "amplifier"))
+        is_own = "coupling_stiffness_n_m_rad" in own.plant
+        where = (*path, "plant") if is_own else ("plant",)
+        check_steps(plant, settings.tick_ns, settings.current_steps, where)
+        return settings
 
 
 @final

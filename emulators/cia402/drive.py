@@ -54,6 +54,7 @@ from motorhil.emulators.cia402.quirks import QuirkyWire, deviate, wire_quirks
 from motorhil.emulators.cia402.settings import (
     EMULATED_MODES,
     MODES,
+    OWN_EDS,
     DriveSettings,
     out_of_reach,
     read_settings,
@@ -398,6 +399,7 @@ class Cia402Drive:
         )
         self._outbox = self._node.outbox
         self._events: list[tuple[str, str]] = list(events)
+        self._events += [("warning", line) for line in self._objects.torque.doubts()]
         self._statusword: int = 0  # as last reported to the node's TPDOs
         self._mode: int = 0
         self._inputs: int = self._power_drive.inputs.bits
@@ -550,6 +552,10 @@ class Cia402Drive:
     def identifiers_revision(self) -> int:
         """Return a number that increases whenever `identifiers` changes."""
         return self._node.identifiers_revision()
+
+    def tell(self, events: Sequence[tuple[str, str]]) -> None:
+        """Add events of the drive's making to those of `take_events`."""
+        self._events += events
 
     # --- NodeHost
 
@@ -730,23 +736,27 @@ def build_drive(settings: DriveSettings, memory: NonvolatileMemory | None = None
         events.append(("info", settings.oscillator.told()))
     events += [("info", line) for line in told_of_quirk_catalogue(settings.quirks)]
     events += [("warning", line) for line in out_of_reach(settings.switches, settings.plant)]
-    stated = od.integer(0x6502, 0, 0)
+    modes = od.integer(0x6502, 0, 0)
     _set_objects(od, settings)
     if settings.supported_modes is None:
         left_out = [
             name
             for name, mode in MODES.items()
-            if stated >> (mode - 1) & 1 and name not in EMULATED_MODES
+            if modes >> (mode - 1) & 1 and name not in EMULATED_MODES
         ]
         if left_out:
             text = f"6502h of {settings.eds.name} also names {', '.join(left_out)}: not emulated"
             events.append(("info", text))
     try:
-        return Cia402Drive(od, settings, events, memory)
+        drive = Cia402Drive(od, settings, events, memory)
     except ValueError as error:
         raise SettingError(
             ("servo",), str(error), "reduce the gains of the current loop"
         ) from error
+    if settings.eds != OWN_EDS:
+        stated = [(wanted.index, wanted.subindex) for wanted in settings.objects]
+        drive.tell([("info", line) for line in description.supplied(od, stated)])
+    return drive
 
 
 def _set_objects(od: ObjectDictionary, settings: DriveSettings) -> None:

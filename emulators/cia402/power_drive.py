@@ -21,6 +21,7 @@ from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.settings import EMULATED_MODES
 from motorhil.emulators.cia402.state_machine import (
+    MODE_BITS,
     NO_TRANSITION,
     TARGET_REACHED,
     Command,
@@ -106,6 +107,8 @@ class PowerDrive:
             EMULATED_MODES["cst"]: CyclicTorque(axis, objects, tick_ns),
         }
         self._no_mode = Mode(axis, objects, tick_ns)
+        self.quirk_bits: int = 0  # of 6041h: always set; in fault alone
+        self.fault_bits: int = 0
         self._active: Mode = self._no_mode
 
     # --- interface of the drive
@@ -279,9 +282,17 @@ class PowerDrive:
             mode_bits = active.idle_bits()
         remote = state is not PdsState.NOT_READY_TO_SWITCH_ON
         limit = active.limited or self._guard.is_active
-        return compose(state, mode_bits, self.voltage, remote, limit, self.standing.warnings != 0)
+        word = compose(state, mode_bits, self.voltage, remote, limit, self.standing.warnings != 0)
+        return word | self._quirk_bits(state) if self.quirk_bits or self.fault_bits else word
 
     # --- internals
+
+    def _quirk_bits(self, state: PdsState) -> int:
+        """Return the bits of 6041h by quirks; a mode's own bits stay its own while it works."""
+        if state is PdsState.OPERATION_ENABLED or state is PdsState.QUICK_STOP_ACTIVE:
+            return self.quirk_bits & ~MODE_BITS
+        is_fault = state is PdsState.FAULT or state is PdsState.FAULT_REACTION_ACTIVE
+        return self.quirk_bits | self.fault_bits if is_fault else self.quirk_bits
 
     def _write_controlword(self, word: int, now_ns: int) -> None:
         fsa = self.fsa

@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Final, final
 
+from motorhil.emulators.can.frame import pack
 from motorhil.emulators.canopen.codes import OK
 from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
 from motorhil.emulators.canopen.outbox import NEVER
@@ -20,7 +21,7 @@ from motorhil.emulators.cia402.modes.base import Mode
 from motorhil.emulators.cia402.modes.profile_position import CHANGE_IMMEDIATELY, NEW_SET_POINT
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
-from motorhil.emulators.cia402.settings import EMULATED_MODES, Quirks, parameter_ns
+from motorhil.emulators.cia402.settings import EMULATED_MODES, Quirks, parameter, parameter_ns
 from motorhil.emulators.cia402.state_machine import CW_HALT, SET_POINT_ACKNOWLEDGE, TARGET_REACHED
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.firmware.digital_inputs import Edge
@@ -30,6 +31,10 @@ _SDO_RESPONSE: Final = 0x580
 _SDO_REQUEST: Final = 0x600
 _ERROR_CONTROL: Final = 0x700
 _SYNC: Final = (0x080).to_bytes(4, "little")
+_EXPEDITED: Final = 0x43  # upload response with its size, bits 2 and 3 apart
+_SIZE_UNKNOWN: Final = 0x42
+_DOWNLOADED: Final = 0x60
+_OVERRUN: Final = bytes.fromhex("1081111400000000")  # CAN overrun, generic and communication error
 _STRAY_EMCY: Final = (0x081).to_bytes(4, "little")
 
 
@@ -178,6 +183,11 @@ class WireQuirks:
         deaf_ns: time after the boot-up message during which SDO requests are ignored.
         has_stray_emcy: EMCY is sent on 081h, whatever the node-ID.
         has_misplaced_register: 1001h is one byte too far right in EMCY.
+        hides_size: expedited uploads do not indicate their size.
+        has_stale_bytes: unused bytes of SDO responses are those of the response before.
+        has_emcy_after_boot_up: EMCY 0000h follows the boot-up message.
+        vendor_bytes: the manufacturer-specific bytes of EMCY; b"": as the drive sends them.
+        buffer_frames, buffer_ns: frames that can be received in this time; 0 ns: any number.
     """
 
     def __init__(self) -> None:
@@ -187,11 +197,20 @@ class WireQuirks:
         self.deaf_ns: int = 0
         self.has_stray_emcy: bool = False
         self.has_misplaced_register: bool = False
+        self.hides_size: bool = False
+        self.has_stale_bytes: bool = False
+        self.has_emcy_after_boot_up: bool = False
+        self.vendor_bytes: bytes = b""
+        self.buffer_frames: int = 0
+        self.buffer_ns: int = 0
 
     def are_any(self) -> bool:
         """Return True if anything deviates."""
-        delays_ns = self.sdo_mean_ns + self.sdo_spread_ns + self.heartbeat_ns + self.deaf_ns
-        return delays_ns > 0 or self.has_stray_emcy or self.has_misplaced_register
+        times_ns = self.sdo_mean_ns + self.sdo_spread_ns + self.heartbeat_ns + self.deaf_ns
+        alters_sdo = self.hides_size or self.has_stale_bytes
+        alters_emcy = self.has_stray_emcy or self.has_misplaced_register or bool(self.vendor_bytes)
+        adds_emcy = self.has_emcy_after_boot_up or self.buffer_ns > 0
+        return times_ns > 0 or alters_sdo or alters_emcy or adds_emcy
 
 
 @final
@@ -227,6 +246,10 @@ class QuirkyWire:
         self._held: list[tuple[int, bytes]] = []  # each with the time when it is sent
         self._response_due_ns: int = 0  # of the last response: responses keep their order
         self._ready: list[bytes] = []
+        self._left_over: bytes = bytes(4)  # the data bytes of the last SDO response
+        self._arrivals: list[int] = []  # of the frames in the receive buffer [ns]
+        self._has_overrun: bool = False
+        self._emcy_id: int = 0  # 80h plus the node-ID; 0: no boot-up message yet
 
     def start(self, now_ns: int) -> None:
         """Power the drive on."""
@@ -237,6 +260,8 @@ class QuirkyWire:
         """Pass a received frame on, unless it is ignored."""
         self._now_ns = now_ns
         if now_ns < self._deaf_until_ns and _function(data) == _SDO_REQUEST:
+            return
+        if self._quirks.buffer_ns and self._is_lost(now_ns):
             return
         self.inner.receive(data, now_ns)
 
@@ -276,7 +301,7 @@ class QuirkyWire:
         for frame in self.inner.take_output():
             function = _function(frame)
             if function == _SDO_RESPONSE:
-                self._hold_response(frame, frames)
+                self._hold_response(self._altered_response(frame), frames)
             elif function == _ERROR_CONTROL:
                 self._hold_heartbeat(frame, frames)
             elif function == _EMCY and frame[:4] != _SYNC:
@@ -322,13 +347,48 @@ class QuirkyWire:
         """Delay a heartbeat; a boot-up message is sent at once and starts the deaf time."""
         if frame[8] == 0:
             self._deaf_until_ns = self._now_ns + self._quirks.deaf_ns
+            self._emcy_id = _EMCY | frame[0] & 0x7F
+            self._has_overrun = False
+            if self._quirks.has_emcy_after_boot_up:
+                frames += (frame, pack(self._emcy_id, bytes(8)))
+                return
         elif self._quirks.heartbeat_ns:
             delay_ns = self._heartbeats.draw_ns(0, self._quirks.heartbeat_ns)
             self._held.append((self._now_ns + delay_ns, frame))
             return
         frames.append(frame)
 
+    def _is_lost(self, now_ns: int) -> bool:
+        """Return whether the receive buffer has no room; the first loss is reported."""
+        quirks = self._quirks
+        self._arrivals = [at_ns for at_ns in self._arrivals if at_ns > now_ns - quirks.buffer_ns]
+        if len(self._arrivals) < quirks.buffer_frames:
+            self._arrivals.append(now_ns)
+            return False
+        if not self._has_overrun and self._emcy_id:
+            self._has_overrun = True
+            self._ready.append(pack(self._emcy_id, _OVERRUN))
+        return True
+
+    def _altered_response(self, frame: bytes) -> bytes:
+        """Return an SDO response with the quirks of its first byte and of its unused bytes."""
+        command, data = frame[8], frame[12:16]
+        if self._quirks.has_stale_bytes:
+            used = 4
+            if command & 0xE3 == _EXPEDITED:
+                used = 4 - (command >> 2 & 3)
+            elif command == _DOWNLOADED:
+                used = 0
+            data = data[:used] + self._left_over[used:]
+            self._left_over = data
+        if self._quirks.hides_size and command & 0xE3 == _EXPEDITED:
+            command = _SIZE_UNKNOWN
+        return frame[:8] + bytes((command,)) + frame[9:12] + data
+
     def _altered(self, frame: bytes) -> bytes:
+        vendor = self._quirks.vendor_bytes
+        if vendor and frame[8:10] != bytes(2):
+            frame = frame[:11] + vendor
         if self._quirks.has_stray_emcy:
             frame = _STRAY_EMCY + frame[4:]
         if self._quirks.has_misplaced_register:
@@ -371,6 +431,9 @@ def deviate(
         modes[pp] = StaleTargetReached(modes[pp], stale_ns)
     if "inverted_set_point_acknowledge" in quirks:
         modes[pp] = InvertedAcknowledge(modes[pp])
+    power_drive.quirk_bits = parameter(quirks, "statusword_bits", "bits")
+    if "target_reached_in_fault" in quirks:
+        power_drive.fault_bits = TARGET_REACHED
     if "halt_holds_mode" in quirks:
         HaltHoldsMode(od, objects)
 
@@ -384,4 +447,11 @@ def wire_quirks(quirks: Quirks) -> WireQuirks:
     wire.deaf_ns = parameter_ns(quirks, "deaf_after_boot_up", "for_s")
     wire.has_stray_emcy = "stray_emcy" in quirks
     wire.has_misplaced_register = "misplaced_error_register" in quirks
+    wire.hides_size = "size_not_indicated" in quirks
+    wire.has_stale_bytes = "stale_sdo_bytes" in quirks
+    wire.has_emcy_after_boot_up = "emcy_after_boot_up" in quirks
+    vendor = parameter(quirks, "emcy_vendor_bytes", "value")
+    wire.vendor_bytes = vendor.to_bytes(5, "little") if vendor else b""
+    wire.buffer_frames = parameter(quirks, "emcy_on_overrun", "frames")
+    wire.buffer_ns = parameter_ns(quirks, "emcy_on_overrun", "within_s")
     return wire

@@ -265,7 +265,53 @@ CATALOGUE: Final = (
         "a recorded machine: node 63h, period 1.4 s, heartbeats 1.402 to 1.495 s apart",
         {"max_s": 0.095},
     ),
+    Quirk(
+        "size_not_indicated",
+        "expedited SDO uploads say 42h: always four bytes, without a length",
+        "users' recordings of Elmo drives; canopen-python/canopen pull request 395: two devices",
+        {},
+    ),
+    Quirk(
+        "stale_sdo_bytes",
+        "unused bytes of an expedited SDO response are those of the response before",
+        "CANopenNode/CANopenNode issue 345",
+        {},
+    ),
+    Quirk(
+        "statusword_bits",
+        "these bits of 6041h are always 1; 10, 12 and 13 only outside operation enabled and quick"
+        " stop active",
+        "a user's recording of a Schunk module: 92xxh, thus bits 15 and 12 (9000h)",
+        {"bits": 0x9000},
+    ),
+    Quirk(
+        "target_reached_in_fault",
+        "statusword bit 10 is 1 in fault",
+        "ros-industrial/ros2_canopen issue 298, recorded (vendor 331h): 0638h; Trinamic TMCM",
+        {},
+    ),
+    Quirk(
+        "emcy_vendor_bytes",
+        "EMCY of an error has these manufacturer-specific bytes, the lowest in its fourth byte",
+        "ros-industrial/ros2_canopen issue 298, recorded (vendor 331h): 01 52 80 00 00 00 70 08",
+        {"value": 0x08_7000_0000},
+    ),
+    Quirk(
+        "emcy_after_boot_up",
+        "EMCY 0000h follows every boot-up message, also after reset communication",
+        "users' recordings of drives after reset communication",
+        {},
+    ),
+    Quirk(
+        "emcy_on_overrun",
+        "frames beyond `frames` in within_s are lost; the first loss sends EMCY 8110h",
+        "CANopenNode/CANopenNode issue 553: 8110h, register 10h, fourth byte 14h",
+        {"frames": 8, "within_s": 0.001},
+    ),
 )
+# The limits of parameters that are no times: the statusword's bits 8, 10 and 12 to 15; five bytes.
+_STATUSWORD_BITS: Final = 0xF500
+_WHOLE: Final = {"bits": _STATUSWORD_BITS, "value": (1 << 40) - 1, "frames": 1_000}
 
 
 @final
@@ -292,7 +338,12 @@ class _OnOff:
 
 
 def _switched(quirk: Quirk) -> Key:
-    keys = {key: Key(Number(0, 3600.0, "s"), "") for key in quirk.parameters}
+    keys = {
+        key: Key(Number(0, _WHOLE[key], "", is_whole=True), "")
+        if key in _WHOLE
+        else Key(Number(0, 3600.0, "s"), "")
+        for key in quirk.parameters
+    }
     own = Declaration(f"quirk_{quirk.name}", f"Parameters: {quirk.what}.", keys, quirk.parameters)
     return Key(_OnOff(own), f"{quirk.what[0].upper()}{quirk.what[1:]}.")
 
@@ -334,9 +385,17 @@ def told(quirks: Quirks) -> list[str]:
     """Describe the enabled quirks, one line each, for the record."""
     lines = []
     for name, values in quirks.items():
-        given = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+        given = shown_parameters(values)
         lines.append(f"quirk {name}" + (f" ({given})" if given else ""))
     return lines
+
+
+def shown_parameters(values: Mapping[str, float]) -> str:
+    """Return the parameters of a quirk as a rig states them; bits and bytes in hexadecimal."""
+    return ", ".join(
+        f"{key} = 0x{int(value):X}" if key in ("bits", "value") else f"{key} = {value:g}"
+        for key, value in values.items()
+    )
 
 
 def boot_up_later_ns(quirks: Quirks) -> int:
@@ -347,6 +406,11 @@ def boot_up_later_ns(quirks: Quirks) -> int:
 def parameter_ns(quirks: Quirks, name: str, key: str) -> int:
     """Return a parameter of a quirk [ns]; 0 if the quirk is off."""
     return ns(quirks.get(name, {}).get(key, 0.0))
+
+
+def parameter(quirks: Quirks, name: str, key: str) -> int:
+    """Return a whole parameter of a quirk; 0 if the quirk is off."""
+    return int(quirks.get(name, {}).get(key, 0))
 
 
 OWN_EDS: Final = Path(__file__).parents[1] / "eds" / "motorhil_cia402.eds"

@@ -238,7 +238,7 @@ def substeps_for(plant: MotorPlant, step_s: float) -> int:
             f"coupling_stiffness_n_m_rad = {stiffness:g} N m/rad: oscillates at {omega:.0f} "
             f"rad/s with these inertias, too fast for steps of {step_s * 1e6:g} us; expected "
             f"at most {_stiffest(plant, step_s):.3g} N m/rad; use more current_steps or a "
-            "shorter servo tick_s"
+            "shorter tick_s"
         )
     return max(1, needed)
 

@@ -348,9 +348,11 @@ def run(  # noqa: C901, PLR0913 -- hot loop: a call costs a row of the map
                 index += 1
                 end, start, p, slope, half, v, change = profile[index]
             wanted = p + (t - start) * slope
-            if v < UNLIMITED:  # limit the current so that the speed does not pass v
-                most = kp_v * (v - (c0 - c2) * 0.5)
-                least = kp_v * (-v - (c0 - c2) * 0.5)
+            if v < UNLIMITED:  # limit the current so that the speed does not pass v: the
+                # velocity loop in its incremental form, which starts from the current itself
+                held = hold_a - kp_v * (c0 - c1 - c2 + c3) * 0.5 - ki_v * (c0 - c2) * 0.5
+                most = held + ki_v * v
+                least = held - ki_v * v
                 if wanted > most:
                     wanted = most
                     flags |= CURRENT_SATURATED

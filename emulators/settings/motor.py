@@ -26,7 +26,7 @@ from motorhil.emulators.settings.tables import (
     ns,
     plant_of,
 )
-from motorhil.settings import SettingError, number, table, whole
+from motorhil.settings import KeyPath, SettingError, number, table, whole
 
 SERVO_S: Final = (1e-5, 0.02)
 """The plausible periods of a servo."""
@@ -80,14 +80,23 @@ class ServoTable:
             SettingError: the plant is too fast for the steps of the servo.
         """
         tick_ns = self.tick_ns()
-        try:
-            substeps_for(plant, tick_ns / (1e9 * self.current_steps))
-        except ValueError as error:
-            name, _, text = str(error).partition(" = ")
-            raise SettingError(("plant", name), text) from error
+        check_steps(plant, tick_ns, self.current_steps, ("plant",))
         own = {one.name: getattr(self, one.name) for one in fields(ServoGains)}
         tuned = ServoGains.tuned(plant, tick_ns, self.current_steps)
         return replace(tuned, **{name: gain for name, gain in own.items() if gain is not None})
+
+
+def check_steps(plant: MotorPlant, tick_ns: int, current_steps: int, path: KeyPath) -> None:
+    """Check that the steps of the current loop are short enough for the plant at `path`.
+
+    Raises:
+        SettingError: they are not; names the key of the plant.
+    """
+    try:
+        substeps_for(plant, tick_ns / (1e9 * current_steps))
+    except ValueError as error:
+        name, _, text = str(error).partition(" = ")
+        raise SettingError((*path, name), text) from error
 
 
 @final

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.emulators.cia402.settings import CATALOGUE, shown_parameters
 from motorhil.harness.cli.main import PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import print_table
 from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, installed, own_eds
@@ -90,7 +90,7 @@ def _list_quirks(*, as_json: bool) -> int:
         print(json.dumps(rows))
         return PASSED
     for quirk in CATALOGUE:
-        given = ", ".join(f"{key} = {value:g}" for key, value in quirk.parameters.items())
+        given = shown_parameters(quirk.parameters)
         print(quirk.name + (f" ({given})" if given else ""))
         print(f"    {quirk.what}")
         print(f"    seen: {quirk.seen}")

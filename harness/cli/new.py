@@ -7,15 +7,25 @@ import sys
 from pathlib import Path
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.rig.config.scaffold import CI_FILES, requirement, write_new_rig
+from motorhil.harness.rig.config.ros2_canopen import rig_of_bus
+from motorhil.harness.rig.config.scaffold import CI_FILES, requirement, write_new_rig, write_rig
+from motorhil.harness.rig.config.toml import RigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `new`."""
     parser.add_argument(
-        "folder", type=_folder, metavar="DIR", help="the folder; created if missing"
+        "folder", type=_folder, nargs="?", metavar="DIR", help="the folder; created if missing"
     )
-    parser.add_argument(
+    kinds = parser.add_mutually_exclusive_group()
+    kinds.add_argument(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FILE",
+        help="make the rig of ros2_canopen's bus.yml, in DIR or the current folder",
+    )
+    kinds.add_argument(
         "--ci",
         choices=list(CI_FILES),
         help=f"also write a CI job into the current folder: {' or '.join(CI_FILES.values())}; "
@@ -36,6 +46,10 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the files exist already, or cannot be written.
     """
+    if options.source is not None:
+        return _from_bus(options.source, options.folder or Path(), as_json=options.json)
+    if options.folder is None:
+        raise RigError(Path(), "no folder is named", "name a new one: motorhil new DIR")
     has_requirements = Path("requirements.txt").exists()
     files = [str(path) for path in write_new_rig(options.folder, options.ci)]
     rig, script = options.folder / "rig.toml", options.folder / "drive.py"
@@ -51,4 +65,18 @@ def run(options: argparse.Namespace) -> int:
         print(f"requirements.txt: was there; it must install {line} and pytest", file=sys.stderr)
     if options.ci is not None and wheel:
         print(f"before you push, commit what this makes: {wheel}", file=sys.stderr)
+    return PASSED
+
+
+def _from_bus(source: Path, folder: Path, *, as_json: bool) -> int:
+    text, notes = rig_of_bus(source, folder)
+    files = [str(path) for path in write_rig(folder, text)]
+    rig = folder / "rig.toml"
+    if as_json:
+        print(json.dumps({"files": files, "next": ["motorhil", "check", str(rig)]}))
+    else:
+        print("\n".join(files))
+    for note in notes:
+        print(f"{source}: {note}", file=sys.stderr)
+    print(f"next: motorhil check {rig}, then motorhil serve {rig}", file=sys.stderr)
     return PASSED

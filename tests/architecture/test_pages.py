@@ -78,7 +78,7 @@ def test_every_block_of_commands_python_and_toml_runs():
     assert len(places) > 50
     for page, text in TEXTS.items():
         for block in blocks_of(text, page):
-            assert block.language in ("bash", "python", "pycon", "toml", "text"), str(block)
+            assert block.language in ("bash", "python", "pycon", "toml", "yaml", "text"), str(block)
             assert block.language == "text" or str(block) in places, str(block)
             assert "not run" not in block.special, f"{block}: every block can run so far"
 

@@ -1,10 +1,18 @@
 """Description of a device, independent of the file format."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
-from motorhil.emulators.canopen.object_dictionary import ObjectDictionary, Value, Variable
+from motorhil.emulators.canopen.object_dictionary import (
+    ObjectDictionary,
+    Value,
+    Variable,
+    zero,
+)
+
+_IDENTITY: Final = 0x1018
 
 
 @final
@@ -78,7 +86,31 @@ class DeviceDescription:
             od.add(description.variable())
         numbers = (self.vendor_number, self.product_number, self.revision_number)
         for subindex, number in enumerate(numbers, start=1):
-            variable = od.get(0x1018, subindex)
+            variable = od.get(_IDENTITY, subindex)
             if variable is not None and not variable.has_default and number:
                 variable.set_default(number)
         return od
+
+    def supplied(self, od: ObjectDictionary, but: Collection[tuple[int, int]]) -> list[str]:
+        """Report the power-on values that the device supplies because the file states none.
+
+        Args:
+            od: the dictionary of the built device.
+            but: places whose values the rig states; [DeviceInfo] states those of 1018h.
+
+        Returns:
+            One line; [] if the file states all values.
+        """
+        values = []
+        for one in self.objects:
+            variable = od.get(one.index, one.subindex)
+            if variable is None or one.default is not None or one.index == _IDENTITY:
+                continue
+            is_zero = variable.default == zero(variable.data_type)
+            if not is_zero and (one.index, one.subindex) not in but:
+                place = f"{one.index:04X}h" + (f":{one.subindex}" if one.subindex else "")
+                values.append(f"{place} = {variable.default!r}")
+        if not values:
+            return []
+        text = f"{self.path.name} states no power-on value of these objects"
+        return [f"{text}; used: {', '.join(values)}; set others in the rig: objects"]

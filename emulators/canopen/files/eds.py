@@ -2,9 +2,12 @@
 
 `read_eds` returns a `DeviceDescription`, which makes any number of object dictionaries. In a DCF a
 ParameterValue overrides the DefaultValue. Hexadecimal numbers of signed types are two's complement.
-$NODEID is the requested node-ID. The sections define the objects; lists and counts that disagree
-cause a warning. Every repair and omission causes a warning with file and line. A file without a
-plain meaning is refused with one line.
+$NODEID is the requested node-ID. A DCF for another node ([DeviceComissioning] NodeID) is moved to
+the requested one: its identifiers of the pre-defined connection set follow, as $NODEID would. A
+TPDO or EMCY with another identifier would collide between the two nodes: that is an `EdsError`. The
+sections define the objects; lists and counts that disagree cause a warning. Every repair and
+omission causes a warning with file and line. A file without a plain meaning is refused with one
+line.
 
 Files in the field are hand-edited, merged and saved by old editors. These defects are repaired with
 a warning: a text encoding other than UTF-8, an unresolved merge whose two sides mean the same, a
@@ -20,6 +23,7 @@ import re
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.emulators.canopen.codes import INVALID, predefined_bases
 from motorhil.emulators.canopen.files.device_description import (
     DeviceDescription,
     VariableDescription,
@@ -96,6 +100,10 @@ _ACCESS_WORDS: Final = {
 }
 
 _FILES_KEPT: Final = 16
+_COB_ID: Final = 0x7FF
+_TRANSMITTED: Final = ((0x1014, 0x1014), (0x1800, 0x19FF))  # EMCY and TPDOs: one sender each
+_NODE_ID_MAX: Final = 127
+_COMMISSIONING: Final = ("devicecomissioning", "devicecommissioning")  # CiA 306's spelling first
 _MAY_NAME_NODE_ID: Final = ("parametervalue", "defaultvalue", "lowlimit", "highlimit")
 
 
@@ -527,12 +535,12 @@ class _Reader:
         self._description = DeviceDescription(text.path, node_id)
         self._with_node_id: list[tuple[int, int, Section, int]] = []  # _add's arguments
         self._said_with_node_id = False  # one caused a warning
+        self._written_for = node_id  # the node of the file's identifiers
+        self._moved: list[str] = []  # the objects whose identifiers follow the node-ID
 
     def is_pattern(self) -> bool:
         """Return whether another node-ID changes only values and limits that name it."""
-        if self._said_with_node_id or "devicecommissioning" in self._text.sections:
-            return False
-        if "devicecomissioning" in self._text.sections:
+        if self._said_with_node_id or any(name in self._text.sections for name in _COMMISSIONING):
             return False
         for section in self._text.sections.values():
             naming = [key for key, field in section.fields.items() if "$" in field.text]
@@ -580,6 +588,7 @@ class _Reader:
                 indices.setdefault(index, {})[int(match[2], 16)] = section
         for index in sorted({**mains, **indices}):
             self._read_object(index, mains.get(index), indices.get(index, {}))
+        self._tell_moved()
         if not self._found:
             remedy = "give an EDS or DCF file with sections such as [1000]"
             raise EdsError(self._text.path, 0, "no objects found", remedy)
@@ -614,15 +623,22 @@ class _Reader:
         description.dummies = tuple(usable)
 
     def _check_commissioning(self) -> None:
-        for name in ("devicecomissioning", "devicecommissioning"):
+        """Read the node that a DCF is written for."""
+        for name in _COMMISSIONING:
             section = self._text.sections.get(name)
-            field = section.get("nodeid") if section else None
-            if section is None or field is None:
-                continue
-            node_id = self._number(section, "nodeid", self._node_id)
-            if node_id != self._node_id:
-                text = f"written for node {node_id}, used for node {self._node_id}"
-                self._warn(field.line, f"{text}: identifiers without $NODEID stay as they are")
+            if section is not None and section.get("nodeid") is not None:
+                node_id = self._number(section, "nodeid", self._node_id)
+                if 1 <= node_id <= _NODE_ID_MAX:
+                    self._written_for = node_id
+
+    def _tell_moved(self) -> None:
+        """Warn that the file is used for another node than the one it is written for."""
+        if self._written_for == self._node_id:
+            return
+        sections = [self._text.sections.get(name) for name in _COMMISSIONING]
+        line = next(field.line for one in sections if one and (field := one.get("nodeid")))
+        what = f"COB-IDs follow: {', '.join(self._moved)}" if self._moved else "no COB-ID follows"
+        self._warn(line, f"written for node {self._written_for}, used for {self._node_id}; {what}")
 
     def _check_lists(self, mains: dict[int, Section], subs: dict[int, dict[int, Section]]) -> None:
         """Warn about lists of objects that are too long or too short; the sections decide."""
@@ -698,7 +714,34 @@ class _Reader:
 
     def _follows_node_id(self, section: Section) -> bool:
         field = section.get("parametervalue") or section.get("defaultvalue")
-        return field is not None and "$nodeid" in field.text.lower()
+        return field is not None and _NODE_ID.search(field.text) is not None
+
+    def _moves(self, index: int, subindex: int, section: Section, default: Value | None) -> bool:
+        """Return whether a value of a DCF follows the node-ID, although it does not name it.
+
+        Raises:
+            EdsError: two nodes with this file would transmit the same identifier.
+        """
+        written_for = self._written_for
+        if written_for == self._node_id or not isinstance(default, int):
+            return False
+        usual = section.get("defaultvalue")
+        if usual is not None and _NODE_ID.search(usual.text):
+            return parse_integer(usual.text, written_for)[0] == default
+        if (default & _COB_ID) - written_for in predefined_bases(index, subindex):
+            return True
+        is_sent = any(first <= index <= last for first, last in _TRANSMITTED)
+        if is_sent and predefined_bases(index, subindex) and not default & INVALID:
+            text = (
+                f"{index:04X}h:{subindex:02X}h is {default & _COB_ID:03X}h, which does not follow"
+            )
+            raise EdsError(
+                self._text.path,
+                section.line,
+                f"{text} the node-ID: written for node {written_for}, used for {self._node_id}",
+                f"write $NODEID+0x{default - written_for:X}, or use the file for one node",
+            )
+        return False
 
     def _add(self, index: int, subindex: int, section: Section, object_type: int) -> None:
         if object_type in _DEFTYPE:
@@ -706,6 +749,12 @@ class _Reader:
         told = len(self._warnings)
         data_type = self._data_type(index, subindex, section, object_type)
         default = self._default(section, data_type)
+        follows = self._follows_node_id(section)
+        if not follows and self._moves(index, subindex, section, default):
+            assert isinstance(default, int)
+            default += self._node_id - self._written_for
+            follows = True
+            self._moved.append(f"{index:04X}h:{subindex:02X}h")
         self._found[index << 8 | subindex] = VariableDescription(
             index,
             subindex,
@@ -716,7 +765,7 @@ class _Reader:
             self._limits(section, data_type, default),
             default,
             section.line,
-            self._follows_node_id(section),
+            follows,
         )
         if any("$" in field.text for field in section.fields.values()):
             self._with_node_id.append((index, subindex, section, object_type))

@@ -42,7 +42,7 @@ _BIT_TIMING_MAX: Final = 9  # CiA 305's table 0
 
 SAVE: Final = 0x6576_6173  # "save", little-endian
 LOAD: Final = 0x6461_6F6C  # "load"
-ON_COMMAND: Final = 1  # value of 1010h and 1011h: stored (restored) on command
+ON_COMMAND: Final = 1  # value of 1010h and 1011h without a stated one: on command
 
 _ALL: Final = (0x1000, 0xFFFF)
 _RANGES: Final = (_ALL, (0x1000, 0x1FFF), (0x6000, 0x9FFF))  # of sub-indices 1 to 3
@@ -153,7 +153,8 @@ class ParameterStore:
                 variable = od.get(index, subindex)
                 is_only = len(od.subindices(index)) == 1
                 if variable is not None and (subindex or is_only):
-                    command = _Command(self, signature, subindex)
+                    stated = variable.integer() if variable.has_default else ON_COMMAND
+                    command = _Command(self, signature, subindex, stated)
                     variable.reader = command.read
                     variable.writer = command.write
 
@@ -247,13 +248,14 @@ class ParameterStore:
 class _Command:
     """One sub-index of 1010h or 1011h."""
 
-    def __init__(self, store: ParameterStore, signature: int, subindex: int) -> None:
+    def __init__(self, store: ParameterStore, signature: int, subindex: int, stated: int) -> None:
         self._store = store
         self._signature = signature
         self._subindex = subindex
+        self._stated = stated  # by the file: how the device stores or restores
 
     def read(self) -> int:
-        return ON_COMMAND
+        return self._stated
 
     def write(self, value: int) -> int:
         if value != self._signature:

@@ -79,13 +79,9 @@ class TorqueObjects:
         most = -int(-1000.0 * self._motor_torque_mn_m // self._torque_unit_mn_m())
         most = min(most, _UNSIGNED16_MAX)
         self.maximum: Variable = ensure(0x6072, 0, _D.UNSIGNED16, most)
-        if self.maximum.default == 0:  # as in an EDS without a value
-            self.maximum.set_default(most)
         most = -int(-1000.0 * self._motor_current_ma // self._rated_ma())
         most = min(most, _UNSIGNED16_MAX)
         self.maximum_current: Variable = ensure(0x6073, 0, _D.UNSIGNED16, most)
-        if self.maximum_current.default == 0:
-            self.maximum_current.set_default(most)
         self.positive: Variable = ensure(0x60E0, 0, _D.UNSIGNED16, _UNSIGNED16_MAX)
         self.negative: Variable = ensure(0x60E1, 0, _D.UNSIGNED16, _UNSIGNED16_MAX)
         self.slope: Variable = ensure(0x6087, 0, _D.UNSIGNED32, SLOPE_DEFAULT)
@@ -107,6 +103,16 @@ class TorqueObjects:
         return min(min(most, positive) * unit, current_a), min(
             min(most, negative) * unit, current_a
         )
+
+    def doubts(self) -> list[str]:
+        """Return warnings about power-on limits of 0, which leave no torque; one line each."""
+        names = [
+            f"{one.index:04X}h" for one in (self.maximum, self.maximum_current) if not one.default
+        ]
+        remedy = "set it in the rig (objects)"
+        return [
+            f"{name} is 0 at power-on: no torque until a host writes it; {remedy}" for name in names
+        ]
 
     def slope_a_s(self) -> float:
         """Return 6087h as a slope of the current [A/s]; always > 0."""

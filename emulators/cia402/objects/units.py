@@ -258,7 +258,7 @@ class DriveDefaults:
         following_window, target_window: half a turn and 1/200 turn of the motor.
         velocity_window: 1 % of `no_load_inc_s`.
         rated_current_ma, rated_torque_mn_m: the limits of the power stage.
-        motor_rpm_max: `no_load_inc_s` in rpm.
+        motor_rpm_max: `no_load_inc_s` in rpm, rounded up.
     """
 
     def __init__(self, plant: MotorPlant, units: Units) -> None:
@@ -279,7 +279,8 @@ class DriveDefaults:
         )
         self.rated_current_ma: int = _at_least_1(plant.current_max_a * 1000.0)
         self.rated_torque_mn_m: int = _at_least_1(torque * 1000.0)
-        self.motor_rpm_max: int = _at_least_1(plant.no_load_speed_rad_s() * 30.0 / PI)
+        # Rounded up, so that the default does not reduce the motor's speed.
+        self.motor_rpm_max: int = max(1, -int(-plant.no_load_speed_rad_s() * 30.0 / PI // 1.0))
 
 
 def _at_least_1(value: float) -> int:

@@ -72,6 +72,20 @@ def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
     return [*rig, *job]
 
 
+def write_rig(folder: Path, text: str) -> list[Path]:
+    """Write this rig and the editors' schema into the folder; return the files.
+
+    Raises:
+        RigError: a file exists already, or cannot be written.
+    """
+    from motorhil.harness.rig.config.schema import schema_text  # loads all plugins' tables
+
+    texts = {folder / "rig.toml": f"#:schema ./{_SCHEMA}\n{text}", folder / _SCHEMA: schema_text()}
+    _refuse_existing(texts, "name another folder: motorhil new DIR --from FILE")
+    _write(folder, texts)
+    return list(texts)
+
+
 def _rig(folder: Path) -> dict[Path, str]:
     from motorhil.harness.rig.config.schema import schema_text  # loads all plugins' tables
 

@@ -276,3 +276,32 @@ def test_client_remaps_the_pdos_and_uses_them(client):
     network.pump(1 * MS)
     assert heard[-1][2] > 1_000
     assert abs(node.tpdo[3].map[1].raw) < 500  # following error actual value, every 20 ms
+
+
+def test_client_needs_tpdos_that_come_regularly(bench, monkeypatch):
+    """docs/how-to/use-base-node-402.md names the two causes."""
+    network, node = connect(bench, str(OWN_EDS), monkeypatch)
+    set_up_402(network, node, cyclic_tpdos=())
+    assert node.sdo[0x6061].raw == 1
+    assert node.op_mode == "NO MODE"
+    for word in (0x06, 0x07):
+        node.controlword = word
+        network.pump(50 * MS)
+    with pytest.raises(RuntimeError, match="Timeout waiting for updated statusword"):
+        node.check_statusword()
+
+
+def test_client_works_with_event_timers_of_the_rig(monkeypatch):
+    bench = Bench(objects={"1800h:5": 20, "1801h:5": 20})
+    network, node = connect(bench, str(OWN_EDS), monkeypatch)
+    set_up_402(network, node, cyclic_tpdos=())
+    node.op_mode = "PROFILED POSITION"
+    assert node.op_mode == "PROFILED POSITION"
+    node.state = "OPERATION ENABLED"
+    node.sdo[0x607A].raw = 20_000
+    node.controlword = State402.CW_OPERATION_ENABLED | 0x10
+    assert network.pump_until(lambda: node.statusword & 0x1000, 0.1)
+    node.controlword = State402.CW_OPERATION_ENABLED
+    network.pump(50 * MS)
+    assert network.pump_until(lambda: node.statusword & 0x0400, 3.0)
+    assert node.sdo[0x6062].raw == 20_000

@@ -9,6 +9,7 @@ from motorhil.emulators.cia401.settings import OWN_EDS, read_settings
 from motorhil.emulators.cia402.settings import OWN_EDS as DRIVE_EDS
 from motorhil.emulators.controller import ControllerContext, SettingError
 from motorhil.emulators.plant.presets import PRESETS
+from tests.support.cia402.io_bench import IoBench
 
 
 def test_all_keys_except_node_id_have_defaults():
@@ -74,11 +75,23 @@ def test_channels_share_common_settings_and_override_them():
             {"channel": {"1": {"initial_position_rad": 1e9}}},
             "channel.1.initial_position_rad: 21",
         ),
+        (
+            {"plant": {"preset": "wheel_60w", "coupling_stiffness_n_m_rad": 1e10}},
+            "plant.coupling_stiffness_n_m_rad: 1e+10 N m/rad: oscillates at 938729 rad/s",
+        ),
+        (
+            {
+                "channel": {
+                    "1": {"plant": {"preset": "mast_20w", "coupling_stiffness_n_m_rad": 1e10}}
+                }
+            },
+            "channel.1.plant.coupling_stiffness_n_m_rad: 1e+10 N m/rad: oscillates",
+        ),
         ({"timing": {"boot_s": 3}}, "timing.boot_s: unknown key"),
         ({"eds": "none.eds"}, "eds: file "),
         (
             {"eds": str(DRIVE_EDS)},
-            "has no 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is not the EDS",
+            "has none of 6000h:1, 6200h:1, 6411h:1, 6820h:1: it is not the EDS",
         ),
         (
             {"objects": {"6443h:2": 0}},
@@ -108,3 +121,45 @@ def test_own_file_has_only_used_objects_and_no_warning():
     readers = [index for index in (0x6000, 0x6820) if node.od.get(index, 1).reader is None]
     writers = [index for index in (0x6200, 0x6411, 0x6810) if node.od.get(index, 1).writer is None]
     assert (readers, writers) == ([], [])
+
+
+def eds_with(*objects: tuple[int, int]) -> str:
+    """Return an EDS with arrays of that many elements (CiA 306)."""
+    text = "[DeviceInfo]\n[1000]\nParameterName=t\nDataType=7\nAccessType=ro\nDefaultValue=0x191\n"
+    for index, elements in objects:
+        data_type = 3 if index == 0x6411 else 5
+        text += f"[{index:x}]\nParameterName=a\nObjectType=8\nSubNumber={elements + 1}\n"
+        text += f"[{index:x}sub0]\nParameterName=n\nDataType=5\nAccessType=ro\n"
+        text += f"DefaultValue={elements}\n"
+        for sub in range(1, elements + 1):
+            text += f"[{index:x}sub{sub:x}]\nParameterName=e\nDataType={data_type}\n"
+            text += "AccessType=rw\nDefaultValue=0\n"
+    return text
+
+
+def test_node_takes_an_eds_of_digital_io_alone(tmp_path: Path):
+    (tmp_path / "io.eds").write_text(eds_with((0x6000, 2), (0x6200, 2)))
+    io = IoBench(folder=tmp_path, eds="io.eds")
+    io.operational()
+    assert io.read(0x6200, 0) == 2
+    io.set(0x6200, 2, 0xA5, 1)
+    assert io.read(0x6200, 2, signed=False) == 0xA5
+    assert io.write(0x6411, 1, 0, 2) == 0x0602_0000
+    notes = [text for level, text in io.events if level == "info"]
+    assert notes[0] == (
+        "channel 1: io.eds has no 6411h:1, 6820h:1: no host reaches this part;"
+        " expected only of digital I/O"
+    )
+
+
+def test_node_serves_all_outputs_of_a_vendor_eds(tmp_path: Path):
+    (tmp_path / "io.eds").write_text(eds_with((0x6200, 1), (0x6411, 6)))
+    io = IoBench(folder=tmp_path, eds="io.eds", channels=2)
+    io.boot()
+    assert io.read(0x6411, 0) == 6
+    io.set(0x6411, 6, -5, 2)
+    assert io.read(0x6411, 6) == -5
+    assert (
+        "info",
+        "6411h:3, 6411h:4, 6411h:5, 6411h:6 of io.eds drive no motor: the node has 2 channels",
+    ) in io.events

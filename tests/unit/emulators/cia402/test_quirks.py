@@ -251,3 +251,92 @@ def test_heartbeat_jitter_delays_within_its_maximum():
     assert len(late) >= 99
     assert 0 <= min(late) < 5 * MS  # of 100 uniform values: 0.6 % of seeds have none below 5 ms
     assert 35 * MS < max(late) <= 40 * MS
+
+
+def responses(bench: Bench, *requests: str) -> list[str]:
+    """Return the SDO responses as hexadecimal bytes."""
+    for request in requests:
+        bench.send(0x600 + NODE, bytes.fromhex(request).ljust(8, b"\0"))
+        bench.run(2 * MS)
+    return [data.hex(" ") for _, can_id, data in bench.sent if can_id == 0x580 + NODE]
+
+
+def test_size_not_indicated_sends_42h_with_four_bytes():
+    """CiA 301, 7.2.4.3.6: e = 1, s = 0, so n is 0."""
+    bench = quirky("size_not_indicated")
+    bench.boot()
+    assert responses(bench, "40 41 60 00", "40 00 10 00", "2F 60 60 00 03") == [
+        "42 41 60 00 50 02 00 00",
+        "42 00 10 00 92 01 02 00",
+        "60 60 60 00 00 00 00 00",
+    ]
+
+
+def test_stale_sdo_bytes_are_those_of_the_response_before():
+    """CANopenNode issue 345: 4F 0C 50 00 00 2E 30 2E after a string."""
+    bench = quirky("stale_sdo_bytes")
+    bench.boot()
+    assert responses(bench, "40 00 10 00", "40 61 60 00", "2F 60 60 00 03", "40 41 60 00") == [
+        "43 00 10 00 92 01 02 00",
+        "4f 61 60 00 01 01 02 00",
+        "60 60 60 00 01 01 02 00",
+        "4b 41 60 00 50 02 02 00",
+    ]
+
+
+def test_statusword_bits_are_set_outside_the_mode():
+    bench = quirky("statusword_bits")  # Schunk: 9250h, 9231h, 9233h; 8237h with bit 12 of pp
+    bench.operational()
+    words = [bench.statusword()]
+    for controlword in (0x06, 0x07, 0x0F):
+        bench.controlword(controlword)
+        bench.run(30 * MS)
+        words.append(bench.statusword() & ~REACHED)
+    assert [f"{one:04X}" for one in words] == ["9250", "9231", "9233", "8237"]
+
+
+def test_target_reached_in_fault_shows_bit_10():
+    """As recorded, 0638h, but for bit 5, which CiA 402 leaves open."""
+    bench = quirky("target_reached_in_fault")
+    bench.enable(mode=1)
+    bench.drive.stimulate("fault", 0x5201, bench.now)
+    bench.run(100 * MS)
+    assert bench.statusword() & ~0x20 == 0x0618
+    bench.controlword(0x80)
+    bench.run(10 * MS)
+    assert bench.statusword() & 0x40F == 0
+
+
+def test_emcy_has_the_vendor_bytes_until_its_reset():
+    """Frames as recorded: ros2_canopen issue 298; 1001h is ours."""
+    bench = quirky("emcy_vendor_bytes")
+    bench.operational()
+    bench.drive.stimulate("fault", 0x5201, bench.now)
+    bench._drain()
+    bench.controlword(0x80)
+    emcys = [data for _, can_id, data in bench.sent if can_id == 0x080 + NODE]
+    assert [emcy[:2].hex() + emcy[3:].hex() for emcy in emcys] == [
+        "01520000007008",
+        "00000000000000",
+    ]
+
+
+def test_emcy_after_boot_up_follows_each_boot_up():
+    bench = quirky("emcy_after_boot_up")
+    bench.boot()
+    bench.nmt(0x82)
+    bench.run(BOOT_UP)
+    frames = [row for row in bench.hex_since(0) if row[:3] in ("705", "085")]
+    assert frames == ["705#00", "085#0000000000000000"] * 2
+
+
+def test_emcy_on_overrun_loses_frames_and_tells_once():
+    bench = quirky(emcy_on_overrun={"frames": 2, "within_s": 0.001})
+    bench.operational()
+    bench.run(2 * MS)
+    for word_ in (0x06, 0x07, 0x0F, 0x0F):
+        bench.controlword(word_)
+    bench.run(50 * MS)
+    assert bench.statusword() & 0x6F == 0x23  # the third and the fourth one are lost
+    emcys = [data.hex(" ") for _, can_id, data in bench.sent if can_id == 0x080 + NODE]
+    assert emcys == ["10 81 11 14 00 00 00 00"]

@@ -26,8 +26,78 @@ def test_dcf_for_other_node_gives_warning(read):
     whole = GOOD + "\n[DeviceComissioning]\nNodeID=3\n"
     ((line, text),) = warned(read(whole))
     assert line == line_of(whole, "NodeID=3")
-    assert "node 3" in text
+    assert text == "written for node 3, used for 5; no COB-ID follows"
     assert warned(read(whole, node_id=3)) == []
+
+
+DCF = """
+[DeviceComissioning]
+NodeID=3
+[1014]
+ParameterName=COB-ID EMCY
+DataType=0x0007
+AccessType=rw
+ParameterValue=0x83
+[1400]
+ParameterName=RPDO
+ObjectType=0x9
+SubNumber=2
+[1400sub0]
+ParameterName=n
+DataType=0x0005
+AccessType=ro
+DefaultValue=1
+[1400sub1]
+ParameterName=COB-ID
+DataType=0x0007
+AccessType=rw
+DefaultValue=$NODEID+0x200
+ParameterValue=0x203
+[1800]
+ParameterName=TPDO
+ObjectType=0x9
+SubNumber=2
+[1800sub0]
+ParameterName=n
+DataType=0x0005
+AccessType=ro
+DefaultValue=1
+[1800sub1]
+ParameterName=COB-ID
+DataType=0x0007
+AccessType=rw
+ParameterValue=0x40000183
+"""
+
+
+def test_cob_ids_of_a_dcf_follow_the_node_id(read):
+    """Compare with what $NODEID+80h, +200h and +40000180h give (CiA 301, 7.3.5; CiA 306)."""
+    whole = GOOD + DCF
+    places = ((0x1014, 0), (0x1400, 1), (0x1800, 1))
+    for node_id, cob_ids in ((3, (0x83, 0x203, 0x40000183)), (127, (0xFF, 0x27F, 0x400001FF))):
+        od = read(whole, node_id).dictionary()
+        assert tuple(od.integer(*place, 0) for place in places) == cob_ids
+    assert all(od.get(*place).follows_node_id for place in places)
+    ((_, text),) = warned(read(whole, 127))
+    assert text == (
+        "written for node 3, used for 127; COB-IDs follow: 1014h:00h, 1400h:01h, 1800h:01h"
+    )
+    assert warned(read(whole, 3)) == []
+
+
+@pytest.mark.parametrize(("old", "new"), [("0x40000183", "0x1F0"), ("0x83", "0x84")])
+def test_dcf_with_a_fixed_sender_is_for_one_node(read, refused, old, new):
+    whole = GOOD + DCF.replace(f"={old}", f"={new}")
+    _, text = refused(whole)
+    assert f"is {int(new, 16):03X}h, which does not follow the node-ID: written for node 3" in text
+    assert warned(read(whole, 3)) == []
+
+
+def test_cob_ids_shared_by_nodes_of_a_dcf_stay(read):
+    shared_rpdo = GOOD + DCF.replace("ParameterValue=0x203", "ParameterValue=0x1F0")
+    assert read(shared_rpdo).dictionary().integer(0x1400, 1, 0) == 0x1F0
+    invalid = GOOD + DCF.replace("0x40000183", "0x80000000")
+    assert read(invalid).dictionary().integer(0x1800, 1, 0) == 0x8000_0000
 
 
 def test_windows_1252_text_gives_warning(read):

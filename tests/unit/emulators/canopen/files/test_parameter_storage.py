@@ -314,3 +314,15 @@ class Failing:
 
     def where(self) -> str:
         return "a broken memory"
+
+
+def test_storage_modes_of_the_file_are_served():
+    """1010h and 1011h show how the device stores: 3 is on command and by itself (CiA 301)."""
+    od = whole()
+    put(od, 0x1010, 1, UNSIGNED32, 3)
+    put(od, 0x1011, 4, UNSIGNED32, 0)
+    bench = Powered(od=od)
+    assert bench.ask("40 10 10 01 00 00 00 00") == "43 10 10 01 03 00 00 00"
+    assert bench.ask("40 11 10 04 00 00 00 00") == "43 11 10 04 00 00 00 00"
+    assert bench.command(0x1010, 1, SAVE) == ACCEPTED
+    assert bench.ask("40 10 10 01 00 00 00 00") == "43 10 10 01 03 00 00 00"

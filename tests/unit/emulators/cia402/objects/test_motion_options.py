@@ -1,6 +1,8 @@
 """A host's choices about a motion: direction, end, unit, polarity, limits. CiA 402-2."""
 
 import struct
+from collections.abc import Mapping
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
 from motorhil.emulators.cia402.objects.dictionary import DriveObjects
 from motorhil.emulators.cia402.objects.units import Units
 from motorhil.emulators.cia402.settings import read_settings
+from motorhil.emulators.plant.presets import PRESETS
 from tests.support.cia402.bench import MS, NODE, Bench
 
 LIGHT = {"preset": "wheel_60w", "load_inertia_kg_m2": 0.0}
@@ -17,8 +20,8 @@ INVALID = 0x0609_0030
 TURN = 1_000  # of the axis with a position range: 0..999
 
 
-def standing(mode: int = 1, **objects: int) -> Bench:
-    bench = Bench(objects={"6065h": 0xFFFF_FFFF, **objects}, plant=LIGHT)
+def standing(mode: int = 1, plant: Mapping[str, object] = LIGHT, **objects: int) -> Bench:
+    bench = Bench(objects={"6065h": 0xFFFF_FFFF, **objects}, plant=plant)
     bench.enable(mode)
     bench.run(20 * MS)
     return bench
@@ -151,8 +154,40 @@ def test_tq_obeys_6080h_and_its_changes_immediately():
         bench.set(0x6080, 0, rpm, 4)
         bench.run(2000 * MS)
         turns_s = bench.read(0x606C) / turn
-        assert 0.7 * rpm / 60 < turns_s < rpm / 60
+        assert turns_s == pytest.approx(rpm / 60, abs=500 / turn)  # half an increment each tick
         assert bench.statusword() & LIMIT
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("torque", [100, 1000])
+def test_tq_comes_to_6080h_and_stays_there(preset: str, torque: int):
+    """The speed stays within the resolution of its measurement: half an increment each tick."""
+    bench = standing(4, plant={"preset": preset}, **{"6080h": 3_000})
+    bench.set(0x6071, 0, torque, 2)
+    speeds = []
+    for _ in range(4_000):
+        bench.run(1 * MS)
+        speeds.append(motor_rpm(bench))
+    resolution = 0.5 * 60_000 / bench.drive.settings.plant.encoder_increments_rev
+    assert max(speeds) < 3_000 + resolution
+    assert min(speeds[-1_000:]) > 3_000 - resolution
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_tq_default_6080h_does_not_reduce_the_speed(preset: str):
+    bench = standing(4, plant={"preset": preset})
+    bench.set(0x6071, 0, 1_000, 2)
+    bench.run(4_000 * MS)
+    plant = bench.drive.settings.plant
+    no_load_rpm = plant.no_load_speed_rad_s() * 60 / (2 * pi)
+    assert motor_rpm(bench) == pytest.approx(no_load_rpm, abs=0.01)
+    assert no_load_rpm <= bench.read(0x6080) < no_load_rpm + 1.0
+
+
+def motor_rpm(bench: Bench) -> float:
+    """Return the true speed of the motor."""
+    output_rad_s = bench.truth("velocity_rad_s")
+    return output_rad_s * bench.drive.settings.plant.gear_ratio * 60 / (2 * pi)
 
 
 def test_pv_slippage_above_60f8h_is_reported_while_it_lasts():
