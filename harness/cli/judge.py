@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import print_table, reading_progress, time_ns
+from motorhil.harness.cli.options import print_table, time_ns
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
@@ -82,7 +82,6 @@ def run(options: argparse.Namespace) -> int:
         only=options.only,
         from_ns=options.from_ns,
         to_ns=options.to_ns,
-        progress=reading_progress(),
         note=lambda text: print(f"motorhil judge: {options.file}: {text}", file=sys.stderr),
         seen=seen,
     )
