@@ -84,6 +84,7 @@ class RecordedBus:
         self._data_bits = 0
         self._errors = 0
         self._odd = 0
+        self._too_late = 0
         self._switched = 0
         self._remote = 0
         self._cycles_ns: list[int] = []
@@ -108,6 +109,11 @@ class RecordedBus:
         if not self._room:
             self.left_out += 1
             return nominal, data
+        try:
+            stream.append(time_ns)
+        except OverflowError:  # of an array of 64-bit numbers with a sign
+            self._too_late += 1
+            return nominal, data
         self._room -= 1
         self._bits += nominal
         self._data_bits += data
@@ -115,7 +121,6 @@ class RecordedBus:
         pending_ns.append(time_ns)
         if len(pending_ns) >= _PENDING:
             self._settle()
-        stream.append(time_ns)
         if nominal < stream.nominal or data < stream.data:
             self._shorten(stream, nominal, data)
         if stream.is_rare:
@@ -217,7 +222,6 @@ class RecordedBus:
             doubts: notes about the file.
         """
         self._settle()
-        assert self._first_ns is not None or not self._heard
         span_ns = max(1, self._last_ns - (self._first_ns or 0))
         is_canopen = any(
             key in _HEARTBEATS and heard.length == 1 for key, heard in self._heard.items()
@@ -227,6 +231,8 @@ class RecordedBus:
         notes = list(doubts)
         for key in sorted(self._heard):
             heard = self._heard[key]
+            if not heard.times_ns:
+                continue
             found = measured(heard, span_ns, self._name_of(key, nodes) if is_canopen else "")
             if is_canopen and _is_not_counted(found.message):
                 left_out.append(f"{found.message.label} ({found.frames})")
@@ -301,6 +307,11 @@ class RecordedBus:
             notes.append(f"sent by more than one node, counted as one separate node: {labels}")
         if self._remote:
             notes.append(f"{self._remote} remote frames, counted as frames without data")
+        if self._too_late:
+            notes.append(
+                f"{self._too_late} frames have time stamps beyond the year 2262, and are not"
+                " counted; check the clock of the recorder"
+            )
         if self.left_out:
             notes.append(
                 f"measured in the first {sum(len(h.times_ns) for h in self._heard.values())} frames"
