@@ -466,17 +466,22 @@ def _open(
     interface: dict[str, object] = {"bitrate": options.bitrate} if options.bitrate else {}
     if options.fd:
         interface["fd"] = True
+    note = partial(print, "motorhil replay:", file=sys.stderr, flush=True)
     sinks: dict[str, Sink] = {}
     for name, place in places_of_buses(options.on, buses).items():
-        sinks[name] = RigSink(rig, place.channel) if rig else open_sink(place, interface)
+        if rig is not None:
+            sinks[name] = RigSink(rig, place.channel, note)
+        else:
+            sinks[name] = open_sink(place, interface, note)
         cleanup.callback(sinks[name].close)
     if rig is not None:
         if not sinks:
-            sinks = {bus: RigSink(rig, bus) for bus in buses if bus in rig.world.bus_names()}
+            known = [bus for bus in buses if bus in rig.world.bus_names()]
+            sinks = {bus: RigSink(rig, bus, note) for bus in known}
         if not sinks:
-            known = ", ".join(rig.world.bus_names())
+            available = ", ".join(rig.world.bus_names())
             raise PlaceError(
-                f"the rig has no bus {buses[0]}; write --on {buses[0]}=BUS; available: {known}"
+                f"the rig has no bus {buses[0]}; write --on {buses[0]}=BUS; available: {available}"
             )
         return sinks, rig.runtime
     from motorhil.motorapi.runtime.wall import WallRuntime
