@@ -63,6 +63,8 @@ _DIRECTION: Final = b"\x40"
 _REMOTE_LENGTH: Final = b"\x50"
 _DATA: Final = b"\x7a"
 _REMEMBERED: Final = 1 << 16  # beginnings of messages
+_ALIKE: Final = 16  # of them with one identifier and size
+_LAYOUTS_LEARNED: Final = 256  # then payloads without a known layout are decoded by the table
 
 
 @final
@@ -369,10 +371,14 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
 
 @final
 class FrameDecoder:
-    """Decoder that caches the beginnings of messages."""
+    """Decoder that caches the beginnings of messages.
+
+    The same identifier may have other senders on other buses, so a few beginnings share a key.
+    """
 
     def __init__(self) -> None:
-        self._known: dict[tuple[bytes, int], tuple[bytes, bytes, bytes, Direction, str]] = {}
+        self._known: dict[tuple[bytes, int], list[tuple[bytes, bytes, bytes, Direction, str]]] = {}
+        self._count: int = 0
 
     def decode(self, payload: bytes) -> tuple[bytes, Direction, str]:
         """Return can_frame or canfd_frame, direction and sender of a motorhil.CanFrame.
@@ -380,21 +386,32 @@ class FrameDecoder:
         Raises:
             ValueError: the payload is not a CanFrame.
         """
-        key = (payload[:5], len(payload))
-        before = self._known.get(key)
-        if before is not None and payload.startswith(before[0]):
-            prefix, head, padding, direction, sender = before
-            return head + payload[len(prefix) :] + padding, direction, sender
+        before = self._known.get((payload[:5], len(payload)))
+        if before is not None:
+            for prefix, head, padding, direction, sender in before:
+                if payload.startswith(prefix):
+                    return head + payload[len(prefix) :] + padding, direction, sender
         told = decode_can_frame(payload)
         head = told.frame[:8]
         sender_bytes = told.sender.encode()
         prefix, length = can_frame_prefix(head, len(told.frame), sender_bytes, told.direction)
         if len(prefix) + length == len(payload) and payload.startswith(prefix):
-            if len(self._known) >= _REMEMBERED:
-                self._known.clear()
             padding = bytes(len(told.frame) - 8 - length)
-            self._known[key] = (prefix, head, padding, told.direction, told.sender)
+            self._remember(payload, (prefix, head, padding, told.direction, told.sender))
         return told.frame, told.direction, told.sender
+
+    def _remember(
+        self, payload: bytes, beginning: tuple[bytes, bytes, bytes, Direction, str]
+    ) -> None:
+        if self._count >= _REMEMBERED:
+            self._known.clear()
+            self._count = 0
+        before = self._known.setdefault((payload[:5], len(payload)), [])
+        if len(before) >= _ALIKE:
+            self._count -= len(before)
+            before.clear()
+        before.append(beginning)
+        self._count += 1
 
 
 def timestamp_field(time_ns: int) -> bytes:
@@ -483,12 +500,102 @@ def _doubles(fields: object) -> tuple[Field, ...]:
 
 
 @final
+class DoublesLayout:
+    """The layout of payloads that are a constant beginning and then doubles.
+
+    Attributes:
+        prefix: the beginning.
+        tags: one byte before each double.
+        names: names of the doubles, in their order.
+        size: size of the payload [bytes].
+    """
+
+    def __init__(self, prefix: bytes, tags: bytes, names: tuple[str, ...]) -> None:
+        self.prefix: Final = prefix
+        self.tags: Final = tags
+        self.names: Final = names
+        self.size: Final = len(prefix) + 9 * len(tags)
+        self._unpack: Final = struct.Struct("<" + "xd" * len(tags)).unpack_from
+
+    def fits(self, payload: bytes) -> bool:
+        """Return True if the payload has this layout."""
+        prefix = self.prefix
+        return (
+            len(payload) == self.size
+            and payload.startswith(prefix)
+            and payload[len(prefix) :: 9] == self.tags
+        )
+
+    def values(self, payload: bytes) -> tuple[float, ...]:
+        """Return the doubles of a payload that fits."""
+        return self._unpack(payload, len(self.prefix))
+
+
+@final
+class DoublesDecoder:
+    """Decoder of a message's doubles, for frequent messages; it caches the layouts of payloads."""
+
+    def __init__(self, message: Message) -> None:
+        self._message: Final = message
+        self._layouts: dict[int, DoublesLayout] = {}  # by size of the payload
+        self._learned = 0
+
+    def layout(self, payload: bytes) -> DoublesLayout | None:
+        """Return the layout of the payload; None: other fields follow the first double."""
+        found = self._layouts.get(len(payload))
+        if found is not None and found.fits(payload):
+            return found
+        if self._learned >= _LAYOUTS_LEARNED:
+            return None
+        self._learned += 1
+        learned = self._learn(payload)
+        if learned is not None:
+            self._layouts[len(payload)] = learned
+        return learned
+
+    def decode(self, payload: bytes) -> dict[str, float]:
+        """Return the doubles of the payload by name.
+
+        Raises:
+            ValueError: the payload is not such a message.
+        """
+        layout = self.layout(payload)
+        if layout is not None:
+            return dict(zip(layout.names, layout.values(payload), strict=True))
+        return self._doubles(payload)
+
+    def _doubles(self, payload: bytes) -> dict[str, float]:
+        told = decode(self._message, payload)
+        return {name: value for name, value in told.items() if isinstance(value, float)}
+
+    def _learn(self, payload: bytes) -> DoublesLayout | None:
+        """Return the layout of a payload that ends with its doubles, each once."""
+        try:
+            count = len(self._doubles(payload))
+            prefix = payload[: len(payload) - 9 * count]
+            if self._doubles(prefix):
+                return None
+        except ValueError:
+            return None
+        tags = payload[len(prefix) :: 9]
+        by_tag = {
+            field.number << 3 | 1: field.name
+            for field in self._message.fields
+            if field.kind is Kind.DOUBLE and not field.repeated and field.number < 16
+        }
+        names = [by_tag[tag] for tag in tags if tag in by_tag]
+        if len(names) != count or len(set(names)) != count or len(tags) != count:
+            return None
+        return DoublesLayout(prefix, tags, tuple(names))
+
+
+@final
 class TruthDecoder:
     """Decoder of snapshots of one controller."""
 
     def __init__(self, message: Message) -> None:
-        self._message = message
-        self._names = [field.name for field in message.fields]
+        self.doubles: Final = DoublesDecoder(message)
+        self.names: Final = tuple([field.name for field in message.fields])
 
     def decode(self, payload: bytes) -> dict[str, float]:
         """Return every field; a missing one is 0, as in protobuf.
@@ -496,9 +603,7 @@ class TruthDecoder:
         Raises:
             ValueError: the payload is not such a message.
         """
-        told = decode(self._message, payload)
-        values: dict[str, float] = {}
-        for name in self._names:
-            value = told.get(name, 0.0)
-            values[name] = value if isinstance(value, float) else 0.0
-        return values
+        told = self.doubles.decode(payload)
+        if len(told) == len(self.names):
+            return told
+        return {name: told.get(name, 0.0) for name in self.names}

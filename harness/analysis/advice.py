@@ -30,6 +30,7 @@ from motorhil.motorapi.synchronization.bus_load import rank_of
 from motorhil.motorapi.synchronization.can_response_time import (
     NO_ERRORS,
     BusLoad,
+    Effort,
     ErrorModel,
     Message,
     are_in_time,
@@ -79,23 +80,36 @@ class Proposal:
 _NO_ROOM: Final = "another order helps, but too few identifiers are free between those that stay"
 
 
-def propose(load: BusLoad, errors: ErrorModel, is_reserved: Reserved) -> Proposal:
+_ENDED: Final = "the search was ended after too many steps; other changes may help"
+
+
+def propose(
+    load: BusLoad, errors: ErrorModel, is_reserved: Reserved, effort: Effort | None = None
+) -> Proposal:
     """Propose changes after which every message is in time; none if all are in time now."""
-    if are_in_time(load, errors):
+    effort = Effort() if effort is None else effort
+    if are_in_time(load, errors, effort):
         return Proposal(())
     queues = _has_queues(load)
-    order = None if queues else best_order(load, errors)
+    order = None if queues else best_order(load, errors, effort)
+    if effort.is_over():
+        return Proposal(None, reason=_ENDED)
     if order is None and not queues:
         return Proposal(
             None, is_impossible=True, reason="no order of identifiers helps (proved level by level)"
         )
-    late = [one.message.rank for one in response_times(load, errors) if one.is_in_time is False]
+    late = [
+        one.message.rank for one in response_times(load, errors, effort) if one.is_in_time is False
+    ]
     moves = _moves(load, is_reserved)
     if not queues:
         moves = (move for move in moves if _may_help(move, late))
     for change in islice(moves, max(_MOVES_MIN, _WORK_MAX // len(load.messages))):
-        if are_in_time(with_changes(load, (change,)), errors):
+        changed = with_changes(load, (change,))
+        if are_in_time(changed, errors, effort, _ranks_after(change, late)):
             return Proposal((change,))
+        if effort.is_over():
+            return Proposal(None, reason=_ENDED)
     if order is None:
         return Proposal(
             None,
@@ -119,11 +133,14 @@ def with_changes(load: BusLoad, changes: Sequence[Change]) -> BusLoad:
     )
 
 
-def best_order(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Message, ...] | None:
+def best_order(
+    load: BusLoad, errors: ErrorModel = NO_ERRORS, effort: Effort | None = None
+) -> tuple[Message, ...] | None:
     """Return a feasible order close to the present one, most urgent first, or None.
 
     Every node must send its messages by priority.
     """
+    effort = Effort() if effort is None else effort
     left = sorted(load.messages, key=lambda one: one.rank)
     below: list[Message] = []
     while left:
@@ -134,7 +151,7 @@ def best_order(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Message, 
                 continue
             fixed_seen = fixed_seen or not one.movable
             rest = left[:place] + left[place + 1 :]
-            if response_between(load, rest, one, below, errors).is_in_time is not False:
+            if response_between(load, rest, one, below, errors, effort).is_in_time is not False:
                 below.insert(0, one)
                 left = rest
                 break
@@ -164,6 +181,13 @@ def _moves(load: BusLoad, is_reserved: Reserved) -> Iterator[Change]:
                 identifier = next(free, None)
                 if identifier is not None:
                     yield Change(one, identifier)
+
+
+def _ranks_after(move: Change, ranks: Sequence[int]) -> frozenset[int]:
+    """Return the ranks of the same messages after a move."""
+    old = move.message.rank
+    new = rank_of(move.identifier, extended=move.message.extended)
+    return frozenset(new if rank == old else rank for rank in ranks)
 
 
 def _may_help(move: Change, late: Sequence[int]) -> bool:
@@ -244,22 +268,26 @@ USUAL_BIT_S: Final = (
 _INTERVAL_MAX_NS: Final = 100_000_000_000
 _STEP_NS: Final = 1_000
 ERRORS_MAX: Final = 99  # upper limit of the search
+_MEAN_CERTAIN: Final = 1_000.0  # so many errors on average are more than ERRORS_MAX, by 1 - 1e-200
 
 
-def shortest_error_interval_ns(load: BusLoad, burst: int = 1) -> int | None:
+def shortest_error_interval_ns(
+    load: BusLoad, burst: int = 1, effort: Effort | None = None
+) -> int | None:
     """Return the shortest error interval, after a burst, that makes no message late [ns].
 
     The result is accurate to 1 us or 1/1000, whichever is more, and never too short. None: the
     burst alone makes a message late.
     """
-    if not are_in_time(load, ErrorModel(burst)):
+    effort = Effort() if effort is None else effort
+    if not are_in_time(load, ErrorModel(burst), effort):
         return None
     low, high = 0, _INTERVAL_MAX_NS // _STEP_NS  # not tolerated, tolerated
-    if not are_in_time(load, ErrorModel(burst, high * _STEP_NS)):
+    if not are_in_time(load, ErrorModel(burst, high * _STEP_NS), effort):
         return None
     while high - low > max(1, low // 1_000):
         middle = (low + high) // 2
-        if are_in_time(load, ErrorModel(burst, middle * _STEP_NS)):
+        if are_in_time(load, ErrorModel(burst, middle * _STEP_NS), effort):
             high = middle
         else:
             low = middle
@@ -276,6 +304,8 @@ def more_errors_probability(errors: int, bits: int, bit_error_rate: float) -> fl
     mean = -bits * log1p(-bit_error_rate)
     if mean == 0.0:
         return 0.0
+    if mean > _MEAN_CERTAIN and errors <= ERRORS_MAX:
+        return 1.0
     if errors == 0:
         return -expm1(-mean)
     total = 0.0
@@ -314,8 +344,9 @@ class Tolerance:
         return more_errors_probability(self.errors, self.window_bits, bit_error_rate)
 
 
-def tolerances(load: BusLoad) -> tuple[Tolerance, ...]:
+def tolerances(load: BusLoad, effort: Effort | None = None) -> tuple[Tolerance, ...]:
     """Return the tolerance of every message with a deadline, the most urgent first."""
+    effort = Effort() if effort is None else effort
     found: dict[int, Tolerance] = {}
     timed = [one for one in load.messages if one.deadline_ns is not None]
     low: dict[int, int] = {one.rank: -1 for one in timed}  # tolerated
@@ -328,7 +359,7 @@ def tolerances(load: BusLoad) -> tuple[Tolerance, ...]:
         errors = _next_burst(low[open_ranks[0]], high[open_ranks[0]])
         assert errors not in asked
         asked.add(errors)
-        for one in response_times(load, ErrorModel(errors)):
+        for one in response_times(load, ErrorModel(errors), effort):
             rank = one.message.rank
             if one.is_in_time and errors > low.get(rank, errors):
                 low[rank] = errors
@@ -350,10 +381,13 @@ def _next_burst(low: int, high: int) -> int:
     return min(max(1, 2 * low), (low + high) // 2) if 2 * low < high else (low + high) // 2
 
 
-def rate_that_helps(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> int | None:
+def rate_that_helps(
+    load: BusLoad, errors: ErrorModel = NO_ERRORS, effort: Effort | None = None
+) -> int | None:
     """Return the lowest usual bit rate above the present one that brings all in time, or None."""
+    effort = Effort() if effort is None else effort
     for rate in USUAL_BIT_S:
-        if rate > load.bitrate_bit_s and are_in_time(at_rate(load, rate), errors):
+        if rate > load.bitrate_bit_s and are_in_time(at_rate(load, rate), errors, effort):
             return rate
     return None
 
@@ -368,14 +402,17 @@ def at_rate(load: BusLoad, bitrate_bit_s: int) -> BusLoad:
     )
 
 
-def queues_that_help(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[str, ...] | None:
+def queues_that_help(
+    load: BusLoad, errors: ErrorModel = NO_ERRORS, effort: Effort | None = None
+) -> tuple[str, ...] | None:
     """Return the senders that must send by priority to bring all in time; None: no help.
 
     A single sender is returned if one is sufficient, otherwise all of them.
     """
+    effort = Effort() if effort is None else effort
     for sender in sorted(load.fifo):
-        if are_in_time(replace(load, fifo=load.fifo - {sender}), errors):
+        if are_in_time(replace(load, fifo=load.fifo - {sender}), errors, effort):
             return (sender,)
-    if load.fifo and are_in_time(replace(load, fifo=frozenset()), errors):
+    if load.fifo and are_in_time(replace(load, fifo=frozenset()), errors, effort):
         return tuple(sorted(load.fifo))
     return None

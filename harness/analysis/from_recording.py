@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, final
 
 from motorhil.emulators.can.frame import FD_FRAME_BYTES, FD_LENGTHS
-from motorhil.emulators.can.frame_length import LENGTHS_MASK, measure, phases_of
+from motorhil.emulators.can.frame_length import CLASSICAL_MAX, LENGTHS_MASK, measure, phases_of
 from motorhil.harness.analysis.measured import Heard, Measured, clock_of, measured
 from motorhil.harness.analysis.subject import (
     Queues,
@@ -39,20 +39,52 @@ _CYCLE_PERIOD: Final = b"\x06\x10\x00"  # [us]
 _LSS: Final = (0x7E4, 0x7E5)
 _COARSE_NS: Final = 1_000_000  # time stamps this coarse hide the jitter of most buses
 _HEARTBEATS: Final = range(0x701, 0x780)
+_PENDING: Final = 1 << 14  # time stamps examined at once
+_STREAMS_KEPT: Final = 1 << 14  # then the cache is cleared; bounds memory to some MB
+
+
+@final
+class _Stream:
+    """Frames of one sender that begin alike: identifier, flags and length.
+
+    Attributes:
+        heard: all frames of the identifier.
+        append: adds the time of a frame to them.
+        length: the number of data bytes on the bus, if the frame has another one; otherwise None.
+        nominal, data: the least bits at either rate so far.
+        is_rare: True if its frames are counted or read one by one.
+    """
+
+    __slots__ = ("append", "data", "heard", "is_rare", "length", "nominal")
+
+    def __init__(self, heard: Heard, length: int | None, is_rare: bool) -> None:
+        self.heard = heard
+        self.append = heard.times_ns.append
+        self.length = length
+        self.nominal = self.data = 1 << 30
+        self.is_rare = is_rare
 
 
 @final
 class RecordedBus:
-    """The frames of one bus."""
+    """The frames of one bus.
 
-    def __init__(self, name: str) -> None:
-        """Start without frames."""
+    Attributes:
+        left_out: number of frames after the first `frames_max`, which were measured but not kept.
+    """
+
+    def __init__(self, name: str, frames_max: int | None = None) -> None:
+        """Start without frames; `frames_max` bounds the memory, None does not."""
+        self.left_out = 0
         self._name = name
+        self._room = -1 if frames_max is None else frames_max
         self._heard: dict[int, Heard] = {}
+        self._streams: dict[tuple[bytes, int, str], _Stream] = {}
         self._bits = 0
         self._data_bits = 0
         self._errors = 0
         self._odd = 0
+        self._too_late = 0
         self._switched = 0
         self._remote = 0
         self._cycles_ns: list[int] = []
@@ -61,51 +93,104 @@ class RecordedBus:
         self._last_ns = 0
         self._step_ns = 0
         self._at_once = 0
+        self._pending_ns: list[int] = []
 
     def take(self, time_ns: int, frame: bytes, sender: str) -> tuple[int, int] | None:
         """Add a frame; return its bits at nominal and data rate, or None if it is impossible."""
+        stream = self._streams.get((frame[:8], len(frame), sender))
+        if stream is None:
+            stream = self._opened(frame, sender)
+            if stream is None:
+                return None
+        if stream.length is not None:
+            frame = frame[:4] + bytes([stream.length]) + frame[5:]
+        lengths = measure(frame) & LENGTHS_MASK
+        nominal, data = (lengths, 0) if lengths <= CLASSICAL_MAX else phases_of(lengths)
+        if not self._room:
+            self.left_out += 1
+            return nominal, data
+        try:
+            stream.append(time_ns)
+        except OverflowError:  # of an array of 64-bit numbers with a sign
+            self._too_late += 1
+            return nominal, data
+        self._room -= 1
+        self._bits += nominal
+        self._data_bits += data
+        pending_ns = self._pending_ns
+        pending_ns.append(time_ns)
+        if len(pending_ns) >= _PENDING:
+            self._settle()
+        if nominal < stream.nominal or data < stream.data:
+            self._shorten(stream, nominal, data)
+        if stream.is_rare:
+            self._count(frame)
+        return nominal, data
+
+    def _opened(self, frame: bytes, sender: str) -> _Stream | None:
+        """Return the stream that begins with this frame; None: it is not one of a bus."""
         can_id, length, flags = _HEAD.unpack_from(frame)
         if can_id & ERR:
             self._errors += 1
             return None
         fd = len(frame) == FD_FRAME_BYTES
+        padded = None
         if fd and length not in FD_LENGTHS:  # as some tools write it; on the wire it was padded
-            length = next((one for one in FD_LENGTHS if one > length), FD_LENGTHS[-1])
-            frame = frame[:4] + bytes([length]) + frame[5:]
+            padded = next((one for one in FD_LENGTHS if one > length), FD_LENGTHS[-1])
         try:
-            nominal, data = phases_of(measure(frame) & LENGTHS_MASK)
+            measure(frame if padded is None else frame[:4] + bytes([padded]) + frame[5:])
         except ValueError:  # recorded, but impossible on a bus
             self._odd += 1
             return None
-        self._bits += nominal
-        self._data_bits += data
-        if self._first_ns is None:
-            self._first_ns = self._last_ns = time_ns
-        elif time_ns == self._last_ns:
-            self._at_once += 1
-        self._step_ns = gcd(self._step_ns, time_ns - self._last_ns)
-        self._first_ns = min(self._first_ns, time_ns)
-        self._last_ns = max(self._last_ns, time_ns)
         switched = fd and bool(flags & BRS)
         key = can_id & (EFF | EFF_MASK)
         heard = self._heard.get(key)
         if heard is None:
-            heard = self._heard[key] = Heard(can_id & EFF_MASK, bool(can_id & EFF))
-            heard.switched = switched
-        heard.fd = heard.fd or fd
-        heard.switched = heard.switched and switched
-        heard.add(time_ns, 0 if can_id & RTR else length, sender)
-        least = heard.shortest
-        if least is None or nominal < least.nominal or data < least.data:
-            known = least or Bits(nominal, data)
-            heard.shortest = Bits(min(nominal, known.nominal), min(data, known.data))
-        if switched:
+            heard = Heard(can_id & EFF_MASK, bool(can_id & EFF), switched=switched)
+            if self._room:
+                self._heard[key] = heard
+        if self._room:
+            heard.add_kind(0 if can_id & RTR else padded or length, sender, fd, switched)
+        if len(self._streams) >= _STREAMS_KEPT:
+            self._streams.clear()
+        is_rare = switched or bool(can_id & RTR) or is_sdo(can_id)
+        stream = _Stream(heard, padded, is_rare)
+        self._streams[frame[:8], len(frame), sender] = stream
+        return stream
+
+    def _shorten(self, stream: _Stream, nominal: int, data: int) -> None:
+        least = stream.heard.shortest or Bits(nominal, data)
+        least = Bits(min(nominal, least.nominal), min(data, least.data))
+        stream.heard.shortest = least
+        stream.nominal, stream.data = least.nominal, least.data
+
+    def _count(self, frame: bytes) -> None:
+        """Count or read a frame with a bit rate switch, a remote frame, or an SDO."""
+        can_id, _, flags = _HEAD.unpack_from(frame)
+        if len(frame) == FD_FRAME_BYTES and flags & BRS:
             self._switched += 1
         elif can_id & RTR:
             self._remote += 1
-        elif is_sdo(can_id):
+        else:
             self._learn(frame)
-        return nominal, data
+
+    def _settle(self) -> None:
+        """Update span and resolution of the time stamps by those that came since the last call."""
+        import numpy as np
+
+        if not self._pending_ns:
+            return
+        times = np.array(self._pending_ns, dtype=np.int64)
+        first = self._first_ns is None
+        before = int(times[0]) if first else self._last_ns
+        latest = np.maximum.accumulate(np.maximum(times, before))
+        steps = times - np.concatenate(([before], latest[:-1]))
+        self._at_once += int(np.count_nonzero(steps == 0)) - first
+        self._step_ns = gcd(self._step_ns, int(np.gcd.reduce(np.abs(steps))))
+        lowest = int(times.min())
+        self._first_ns = lowest if self._first_ns is None else min(self._first_ns, lowest)
+        self._last_ns = int(latest[-1])
+        self._pending_ns.clear()
 
     def _learn(self, frame: bytes) -> None:
         """Learn the COB-ID or the cycle period of SYNC from an SDO."""
@@ -136,7 +221,7 @@ class RecordedBus:
             queues: queues of known senders.
             doubts: notes about the file.
         """
-        assert self._first_ns is not None or not self._heard
+        self._settle()
         span_ns = max(1, self._last_ns - (self._first_ns or 0))
         is_canopen = any(
             key in _HEARTBEATS and heard.length == 1 for key, heard in self._heard.items()
@@ -146,6 +231,8 @@ class RecordedBus:
         notes = list(doubts)
         for key in sorted(self._heard):
             heard = self._heard[key]
+            if not heard.times_ns:
+                continue
             found = measured(heard, span_ns, self._name_of(key, nodes) if is_canopen else "")
             if is_canopen and _is_not_counted(found.message):
                 left_out.append(f"{found.message.label} ({found.frames})")
@@ -220,6 +307,16 @@ class RecordedBus:
             notes.append(f"sent by more than one node, counted as one separate node: {labels}")
         if self._remote:
             notes.append(f"{self._remote} remote frames, counted as frames without data")
+        if self._too_late:
+            notes.append(
+                f"{self._too_late} frames have time stamps beyond the year 2262, and are not"
+                " counted; check the clock of the recorder"
+            )
+        if self.left_out:
+            notes.append(
+                f"measured in the first {sum(len(h.times_ns) for h in self._heard.values())} frames"
+                f" of the bus; {self.left_out} later ones are left out"
+            )
         if self._odd:
             notes.append(f"{self._odd} frames are impossible on a bus, and not counted")
         if self._errors:

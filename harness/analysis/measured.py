@@ -66,10 +66,11 @@ class Heard:
     senders: list[str] = field(default_factory=list)
     shortest: Bits | None = None
 
-    def add(self, time_ns: int, length: int, sender: str) -> None:
-        """Add one frame."""
-        self.times_ns.append(time_ns)
+    def add_kind(self, length: int, sender: str, fd: bool, switched: bool) -> None:
+        """Add the facts of frames of one length and kind, from one sender."""
         self.length = max(self.length, length)
+        self.fd = self.fd or fd
+        self.switched = self.switched and switched
         if sender and sender not in self.senders:
             self.senders.append(sender)
 

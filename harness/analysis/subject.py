@@ -1,6 +1,6 @@
 """Subject of the analysis (a bus of a rig or a recording), and its results."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 from motorhil.harness.analysis.advice import (
@@ -17,11 +17,21 @@ from motorhil.harness.analysis.measured import Clock, Measured
 from motorhil.motorapi.synchronization.can_response_time import (
     NO_ERRORS,
     BusLoad,
+    Effort,
     ErrorModel,
     Response,
-    are_in_time,
     response_times,
 )
+
+_STEPS: Final = {
+    "response times": 1_000_000,
+    "identifiers": 1_000_000,
+    "queues": 250_000,
+    "bit rates": 250_000,
+    "error interval": 2_500_000,
+    "tolerated errors": 5_000_000,
+}
+"""Limits of the parts of an analysis, for all of its buses: some seconds."""
 
 
 @final
@@ -119,24 +129,37 @@ class Findings:
         return tuple(one for one in self.responses if one.is_in_time is False)
 
 
-def analyse(subject: Subject, errors: ErrorModel = NO_ERRORS) -> Findings:
-    """Analyse a bus: response times, remedies, and margins."""
+def analyse(subject: Subject, errors: ErrorModel = NO_ERRORS, buses: int = 1) -> Findings:
+    """Analyse a bus: response times, remedies, and margins, each with a limited effort.
+
+    If the effort is not sufficient, a note says so.
+
+    Args:
+        subject: the bus.
+        errors: the error model.
+        buses: the number of buses that share the effort.
+    """
     load = subject.load
+    efforts = {name: Effort(steps // buses) for name, steps in _STEPS.items()}
+    responses = response_times(load, errors, efforts["response times"])
     remedy = None
-    if not are_in_time(load, errors):
+    if any(one.is_in_time is False for one in responses):
         remedy = Remedy(
-            propose(load, errors, subject.is_reserved),
-            queues_that_help(load, errors),
-            rate_that_helps(load, errors),
+            propose(load, errors, subject.is_reserved, efforts["identifiers"]),
+            queues_that_help(load, errors, efforts["queues"]),
+            rate_that_helps(load, errors, efforts["bit rates"]),
         )
-    return Findings(
-        subject=subject,
-        errors=errors,
-        responses=response_times(load, errors),
-        remedy=remedy,
-        interval_ns=shortest_error_interval_ns(load, max(1, errors.burst)),
-        tolerances=tolerances(load),
-    )
+    interval_ns = shortest_error_interval_ns(load, max(1, errors.burst), efforts["error interval"])
+    found = tolerances(load, efforts["tolerated errors"])
+    ended = [
+        f"{name} ({_STEPS[name] // buses:,})"
+        for name, effort in efforts.items()
+        if effort.is_over()
+    ]
+    if ended:
+        text = f"ended early, so that more may be possible (steps): {', '.join(ended)}"
+        subject = replace(subject, notes=(*subject.notes, text))
+    return Findings(subject, errors, responses, remedy, interval_ns, found)
 
 
 _RESTRICTED: Final = (

@@ -94,7 +94,8 @@ def run(options: argparse.Namespace) -> int:
     _refuse_unknown(subjects, options)
     if options.bus:
         subjects = [one for one in subjects if one.load.name in options.bus]
-    found = [analyse(one, errors) for one in subjects if one.load.messages]
+    subjects_with = [one for one in subjects if one.load.messages]
+    found = [analyse(one, errors, len(subjects_with)) for one in subjects_with]
     verdict, status = _sum(found) if subjects else ("no CAN bus", NOT_JUDGED)
     if options.json:
         tables = [as_table(one, options.bit_error_rate) for one in found]

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_color, add_seed
 from motorhil.harness.cli.printable import coloured, has_colours
+from motorhil.harness.cli.progress import StatusLine
 from motorhil.harness.rig.config.toml import RigError, one_line
 from motorhil.settings import listed, nearest
 
@@ -195,11 +196,12 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     findings: list[Finding] = []
     first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
+    line = StatusLine()
     for number, promise in enumerate(chosen, 1):
-        _progress(f"{promise.id} ({number} of {len(chosen)})")
+        line.show(f"{promise.id} ({number} of {len(chosen)})")
         finding = examiner.examine(promise)
         first_s = first_s or _running_s()
-        _progress("")
+        line.clear()
         _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
         findings.append(finding)
         if options.fail_fast and not finding.verdict.result.is_good:
@@ -231,12 +233,6 @@ def _running_s() -> float:
 
 
 # --- output ------------------------------------------------------------------------------------
-
-
-def _progress(text: str) -> None:
-    """Show the current clause on a terminal."""
-    if sys.stderr.isatty():
-        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _print_finding(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_color, add_max_memory, print_table, reading_progress
+from motorhil.harness.cli.options import add_color, add_max_memory, print_table
 from motorhil.harness.cli.printable import has_colours
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
@@ -90,7 +90,6 @@ def run(options: argparse.Namespace) -> int:
         only=options.only,
         from_ns=from_ns,
         to_ns=to_ns,
-        progress=reading_progress(),
         note=lambda text: tell(f"{options.file}: {text}"),
         seen=seen,
     )

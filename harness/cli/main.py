@@ -11,7 +11,7 @@ import errno
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -38,6 +38,7 @@ class _Verb:
     module: str
     takes_rest: bool = False
     is_terminal: bool = False  # it prints what programs print, or progress on one line
+    reads: tuple[str, ...] = ()  # options that name the recordings it reads: it shows its progress
 
     def exists(self) -> bool:
         return find_spec(self.module) is not None
@@ -77,8 +78,13 @@ _VERBS: Final = (
         is_terminal=True,
     ),
     _Verb("recover", "repair a cut or damaged recording", "motorhil.harness.cli.recover"),
-    _Verb("show", "print a recording as sentences", "motorhil.harness.cli.show"),
-    _Verb("diff", "find the first difference between two recordings", "motorhil.harness.cli.diff"),
+    _Verb("show", "print a recording as sentences", "motorhil.harness.cli.show", reads=("file",)),
+    _Verb(
+        "diff",
+        "find the first difference between two recordings",
+        "motorhil.harness.cli.diff",
+        reads=("first", "second"),
+    ),
     _Verb(
         "conform",
         "check whether an adaptation fulfils the motor interface",
@@ -89,17 +95,25 @@ _VERBS: Final = (
         "judge",
         "judge a recording by rules that every recording must meet",
         "motorhil.harness.cli.judge",
+        reads=("file",),
     ),
     _Verb(
         "analyse",
         "check whether every message on a CAN bus meets its deadline",
         "motorhil.harness.cli.analyse",
+        reads=("file",),
     ),
     _Verb(
-        "report", "draw a recording on one page, on one time axis", "motorhil.harness.cli.report"
+        "report",
+        "draw a recording on one page, on one time axis",
+        "motorhil.harness.cli.report",
+        reads=("file",),
     ),
     _Verb(
-        "convert", "turn recorded CAN traffic into another format", "motorhil.harness.cli.convert"
+        "convert",
+        "turn recorded CAN traffic into another format",
+        "motorhil.harness.cli.convert",
+        reads=("source",),
     ),
     _Verb(
         "list",
@@ -216,13 +230,28 @@ def _run_verb(verb: _Verb, words: list[str]) -> int:
         words, rest = words[:cut], words[cut + 1 :]
     options = parser.parse_intermixed_args(words)
     options.rest = rest
-    with nullcontext() if verb.is_terminal else printable_streams():
+    with (
+        nullcontext() if verb.is_terminal else printable_streams(),
+        _progress(verb, options),
+    ):
         try:
             status: int = module.run(options)
         except (RigError, TraceError) as error:
             print(printable(str(error)), file=sys.stderr)
             return WRONG_USAGE
     return status
+
+
+def _progress(verb: _Verb, options: argparse.Namespace) -> AbstractContextManager[None]:
+    """Return a context that shows how far the verb has read its recordings."""
+    from motorhil.harness.cli.progress import following
+
+    paths = [getattr(options, name) for name in verb.reads]
+    # `show` prints lines of its own on the same terminal, and may never end
+    prints = verb.name == "show" and (sys.stdout.isatty() or options.follow)
+    if None in paths or not paths or prints:
+        return nullcontext()
+    return following(verb.name, [os.fspath(path) for path in paths])
 
 
 def _print_version() -> int:

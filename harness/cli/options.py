@@ -1,11 +1,10 @@
-"""Options, tables and progress that several verbs share.
+"""Options and tables that several verbs share.
 
 Errors of numbers name the limits and the unit.
 """
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
@@ -148,15 +147,3 @@ def print_table(
             continue
         text = "  ".join(cells).rstrip()
         print(text if text.isprintable() else one_line(text))
-
-
-def reading_progress() -> Callable[[int], None] | None:
-    """Return a callback that shows the number of messages read, or None without a terminal."""
-    if not sys.stderr.isatty():
-        return None
-
-    def show(count: int) -> None:
-        if not count % 200_000:
-            print(f"{count:,} messages read", file=sys.stderr, flush=True)
-
-    return show

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import real, whole
+from motorhil.harness.cli.progress import StatusLine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -177,17 +178,16 @@ def _metadata(
 def _progress_line(pump: "Pump", series: "Series") -> "Callable[[int], None]":
     """Return a callback that shows the progress on a terminal."""
     progress: list[Progress] = []
-    is_shown = sys.stderr.isatty()
+    status = StatusLine()
 
     def show(now_ns: int) -> None:
-        if not is_shown:
+        if not status.is_terminal:
             return
         if not progress:
             progress.append(Progress(now_ns))
         line = progress[0].line(now_ns, sum(pump.frames), sum(pump.dropped), series.bytes)
         if line is not None:
-            sys.stderr.write(f"\r{line}\x1b[K")  # clear to the end of the line
-            sys.stderr.flush()
+            status.show(line)
 
     return show
 

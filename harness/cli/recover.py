@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 from typing import Final
 
@@ -24,9 +25,12 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the file is not a recording, or the new one cannot be written.
     """
+    from motorhil.harness.cli.progress import following
     from motorhil.traces.mcap.recovery import recover
 
-    done = recover(options.file, options.output, options.force)
+    size = os.path.getsize(options.file) if os.path.isfile(options.file) else None
+    with following("recover", [options.output], size):  # it maps the file, and writes as it reads
+        done = recover(options.file, options.output, options.force)
     span_ns = (done.last_ns or 0) - (done.first_ns or 0)
     if options.json:
         losses = [

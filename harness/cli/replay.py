@@ -11,7 +11,7 @@ import math
 import shlex
 import sys
 import tempfile
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed, identifier, print_table, real, whole
+from motorhil.harness.cli.progress import StatusLine, following
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.virtual_time.interrupts import ends_by_signal
@@ -427,7 +428,8 @@ def replay_traffic(options: argparse.Namespace) -> int:
 
     choice = _choice(options)
     findings = Findings()
-    found = survey(_frames(options, choice, findings))
+    with following("replay", [options.file]):
+        found = survey(_frames(options, choice, findings))
     for _, problem in findings.problems[:_TRAFFIC_SHOWN]:
         print(f"{options.file}: {problem}", file=sys.stderr)
     if not found.frames:
@@ -447,7 +449,8 @@ def replay_traffic(options: argparse.Namespace) -> int:
         replay = TrafficReplay(sinks, runtime, found.first_ns, scale)
         status = PASSED
         try:
-            replay.run(_frames(options, choice), _progress_line(found, runtime))
+            with _progress_line(found, runtime) as show:
+                replay.run(_frames(options, choice), show)
         except SendError as error:
             print(f"motorhil replay: {error}", file=sys.stderr)
             status = FAILED
@@ -502,17 +505,22 @@ def _open(
     interface: dict[str, object] = {"bitrate": options.bitrate} if options.bitrate else {}
     if options.fd:
         interface["fd"] = True
+    note = partial(print, "motorhil replay:", file=sys.stderr, flush=True)
     sinks: dict[str, Sink] = {}
     for name, place in places_of_buses(options.on, buses).items():
-        sinks[name] = RigSink(rig, place.channel) if rig else open_sink(place, interface)
+        if rig is not None:
+            sinks[name] = RigSink(rig, place.channel, note)
+        else:
+            sinks[name] = open_sink(place, interface, note)
         cleanup.callback(sinks[name].close)
     if rig is not None:
         if not sinks:
-            sinks = {bus: RigSink(rig, bus) for bus in buses if bus in rig.world.bus_names()}
+            known = [bus for bus in buses if bus in rig.world.bus_names()]
+            sinks = {bus: RigSink(rig, bus, note) for bus in known}
         if not sinks:
-            known = ", ".join(rig.world.bus_names())
+            available = ", ".join(rig.world.bus_names())
             raise PlaceError(
-                f"the rig has no bus {buses[0]}; write --on {buses[0]}=BUS; available: {known}"
+                f"the rig has no bus {buses[0]}; write --on {buses[0]}=BUS; available: {available}"
             )
         return sinks, rig.runtime
     from motorhil.motorapi.runtime.wall import WallRuntime
@@ -530,10 +538,15 @@ def _rig(options: argparse.Namespace, cleanup: ExitStack) -> "Rig":
     )
 
 
-def _progress_line(found: "Survey", runtime: "Runtime") -> "Callable[[int, int], None] | None":
-    """Return a display of the progress, or None if stderr is not a terminal."""
-    if not sys.stderr.isatty():
-        return None
+@contextmanager
+def _progress_line(
+    found: "Survey", runtime: "Runtime"
+) -> "Iterator[Callable[[int, int], None] | None]":
+    """Provide a display of the progress, or None if stderr is not a terminal."""
+    line = StatusLine()
+    if not line.is_terminal:
+        yield None
+        return
     total = sum(found.frames.values())
     shown_ns = [0]
 
@@ -541,12 +554,12 @@ def _progress_line(found: "Survey", runtime: "Runtime") -> "Callable[[int, int],
         if runtime.now_ns() - shown_ns[0] >= _SHOW_NS:
             shown_ns[0] = runtime.now_ns()
             at_s, of_s = (time_ns - found.first_ns) / _NS, found.span_ns / _NS
-            sys.stderr.write(
-                f"\r{at_s:.1f} of {of_s:.1f} s, {number:,} of {total:,} frames\x1b[K\r"
-            )
-            sys.stderr.flush()
+            line.show(f"{at_s:.1f} of {of_s:.1f} s, {number:,} of {total:,} frames")
 
-    return show
+    try:
+        yield show
+    finally:
+        line.clear()
 
 
 def _print_traffic_result(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import add_max_memory, reading_progress
+from motorhil.harness.cli.options import add_max_memory
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
 
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     with open_recording(options.file, tell, options.max_memory) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
-        found = collect(trace, rates, reading_progress(), data_rates)
+        found = collect(trace, rates, data_rates)
         title = options.title or Path(options.file).name
         document, packed = document_of(trace, found, title)
         page = render(document, packed)

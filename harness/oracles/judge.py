@@ -47,6 +47,7 @@ from motorhil.traces.schema import (
     JOINT_STATE,
     LOG,
     MOTOR_LOCK,
+    DoublesDecoder,
     FrameDecoder,
     Level,
     LockAction,
@@ -79,7 +80,6 @@ def judge(
     only: Collection[str] = (),
     from_ns: int | None = None,
     to_ns: int | None = None,
-    progress: Callable[[int], None] | None = None,
     note: Callable[[str], None] | None = None,
     seen: Seen | None = None,
 ) -> list[Finding]:
@@ -94,7 +94,6 @@ def judge(
         only: ids of oracles; empty: all.
         from_ns: events from this time on are judged; earlier ones are still decoded [ns].
         to_ns: events before this time are judged [ns].
-        progress: called from time to time with the number of messages read.
         note: called at the end with each remark about skipped data.
         seen: filled with faults, limits and alarms that the recording shows, whatever the verdict.
 
@@ -103,14 +102,14 @@ def judge(
     """
     facts = Facts() if facts is None else facts
     if isinstance(recording, Trace):
-        return _judge_trace(recording, facts, only, (from_ns, to_ns), progress, note, seen)
+        return _judge_trace(recording, facts, only, (from_ns, to_ns), note, seen)
     source = recording if isinstance(recording, Source) else open_source(recording)
     if source.format == "mcap":
         with read_trace(source.path, source.memory_max) as trace:
-            return _judge_trace(trace, facts, only, (from_ns, to_ns), progress, note, seen)
+            return _judge_trace(trace, facts, only, (from_ns, to_ns), note, seen)
     context = RecordingContext(facts, RecordedNames(), from_ns, to_ns)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
-    pass_.frames_of(source, progress)
+    pass_.frames_of(source)
     pass_.report_unjudged(note)
     pass_.saw(seen)
     return pass_.findings(None, from_ns, to_ns)
@@ -127,7 +126,6 @@ def _judge_trace(
     facts: Facts,
     only: Collection[str],
     span_ns: tuple[int | None, int | None],
-    progress: Callable[[int], None] | None,
     note: Callable[[str], None] | None,
     seen: Seen | None,
 ) -> list[Finding]:
@@ -135,7 +133,7 @@ def _judge_trace(
     own = subjects_in(trace.attachments)
     context = RecordingContext(facts.with_more(own), names_of(trace.attachments), from_ns, to_ns)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
-    pass_.messages_of(trace, to_ns, progress)
+    pass_.messages_of(trace, to_ns)
     pass_.report_unjudged(note)
     if seen is not None:
         seen.motors.update(own)
@@ -165,13 +163,11 @@ class Pass:
         self._listener(bus).take(time_ns, frame, sender)
         self._last_ns = max(self._last_ns, time_ns)
 
-    def frames_of(self, source: Source, progress: Callable[[int], None] | None) -> None:
+    def frames_of(self, source: Source) -> None:
         """Take all frames of a file in a foreign format."""
         reading = Reading()
         for time_ns, bus, frame, _, sender in source.frames(reading):
             self.take_frame(time_ns, bus, frame, sender)
-            if progress is not None and not reading.frames % 20_000:
-                progress(reading.frames)
         self.imported(source.format)
         gaps = self._context.gaps
         if reading.problems:
@@ -181,12 +177,10 @@ class Pass:
         if reading.unstamped:
             gaps["its frames have no times"] = None
 
-    def messages_of(
-        self, trace: Trace, to_ns: int | None, progress: Callable[[int], None] | None
-    ) -> None:
+    def messages_of(self, trace: Trace, to_ns: int | None) -> None:
         """Take all messages of a recording, up to a time."""
         messages = trace.messages(None, None, to_ns)
-        for count, (channel, time_ns, payload) in enumerate(messages, 1):
+        for channel, time_ns, payload in messages:
             if channel.number in self._handlers:
                 handler = self._handlers[channel.number]
             else:
@@ -200,8 +194,6 @@ class Pass:
                     handler(time_ns, payload)
                 except ValueError:
                     self._context.gaps["some of its messages could not be read"] = None
-            if progress is not None and not count % 20_000:
-                progress(count)
         if "run" not in trace.metadata and "record" not in trace.metadata:
             self.imported(trace.metadata.get("convert", {}).get("format", trace.library))
 
@@ -254,7 +246,8 @@ class Pass:
             return self._frames(channel.topic.removeprefix("/can/"))
         if schema.name == JOINT_STATE.name and len(parts) == 3:
             self._motors.add(parts[1])
-            return lambda time_ns, payload: self._motion(parts[1], time_ns, payload)
+            states = DoublesDecoder(JOINT_STATE)
+            return lambda time_ns, payload: self._motion(parts[1], time_ns, states.decode(payload))
         if schema.name == MOTOR_LOCK.name and len(parts) == 3:
             return lambda time_ns, payload: self._lock(parts[1], time_ns, payload)
         if schema.name == GROUP_SYNC.name:
@@ -276,9 +269,7 @@ class Pass:
 
         return frame
 
-    def _motion(self, motor: str, time_ns: int, payload: bytes) -> None:
-        decoded = decode(JOINT_STATE, payload)
-        values = {name: value for name, value in decoded.items() if isinstance(value, float)}
+    def _motion(self, motor: str, time_ns: int, values: Mapping[str, float]) -> None:
         for oracle in self._oracles:
             oracle.motion(time_ns, motor, values)
 

@@ -6,8 +6,9 @@ traffic.
 
 import errno
 import os
+import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +21,11 @@ from motorhil.harness.python_can.hub_client import HubLink
 from motorhil.harness.python_can.messages import to_message
 from motorhil.harness.recording.socketcan import open_interface
 from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus
-from motorhil.harness.replay.frames import STUCK_S, SendError, Sink
+from motorhil.harness.replay.frames import STUCK_S, SendError, Sink, is_error
 from motorhil.harness.replay.host import ReceiveQueue
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.runtime.wall import WallRuntime
+from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, Schema
@@ -36,6 +38,8 @@ _INTERFACES: Final = {Kind.SOCKETCAN: "socketcan", Kind.HUB: "emulated"}
 _BITRATE_BIT_S: Final = 1_000_000
 _SOL_CAN_RAW: Final = 101  # linux/can/raw.h
 _CAN_RAW_FILTER: Final = 1
+_CAN_RAW_ERR_FILTER: Final = 2
+_ERRORS: Final = 0x024  # linux/can/error.h: problems of the controller, no acknowledgement
 _CAN_RAW_FD_FRAMES: Final = 5
 _FD_MTU: Final = 72
 _QUEUED_MAX: Final = 64  # frames given to an emulated bus before it has carried them
@@ -120,20 +124,45 @@ class DrivenBuses:
         )
 
 
-def open_sink(place: Place, options: Mapping[str, object]) -> Sink:
+Note = Callable[[str], None]
+
+
+@final
+class _Acknowledgements:
+    """Watch on error messages of a bus: says once, and at once, that no node acknowledges."""
+
+    def __init__(self, name: str, note: Note) -> None:
+        self._name = name
+        self._note = note
+        self._is_told = False
+
+    def hear(self, message: bytes) -> None:
+        """Take an error message of the own CAN controller."""
+        told = bus_error(message)
+        lost = told.is_unacknowledged or told.state is ControllerState.PASSIVE
+        if lost and not self._is_told:
+            self._is_told = True
+            self._note(
+                f"{self._name}: {told.text}; frames need another node that acknowledges them; "
+                "check that one is on the bus, its power and its bit rate"
+            )
+
+
+def open_sink(place: Place, options: Mapping[str, object], note: Note) -> Sink:
     """Open the sink of a bus.
 
     Args:
         place: a bus outside the rig.
         options: of python-can's interface (bitrate, fd).
+        note: called once if no node acknowledges the frames.
 
     Raises:
         PlaceError: the bus cannot be reached.
     """
     if place.kind is Kind.SOCKETCAN:
-        return SocketCanSink(place)
+        return SocketCanSink(place, note)
     if place.kind is Kind.HUB:
-        return HubSink(place)
+        return HubSink(place, note)
     return PythonCanSink(place, options)
 
 
@@ -141,7 +170,7 @@ def open_sink(place: Place, options: Mapping[str, object]) -> Sink:
 class RigSink:
     """A bus of an open rig, in the rig's time."""
 
-    def __init__(self, rig: "Rig", bus: str) -> None:
+    def __init__(self, rig: "Rig", bus: str, note: Note) -> None:
         """Join the bus. Raises PlaceError if the rig has no such bus."""
         self.name = bus
         known = rig.world.bus_names()
@@ -149,13 +178,14 @@ class RigSink:
             raise PlaceError(f"--on {bus}: the rig has no such bus; available: {', '.join(known)}")
         self.carries_fd = rig.world.bus(bus).data_bitrate_bit_s is not None
         self._queued = 0
+        self._acknowledgements = _Acknowledgements(bus, note)
         self._port = rig.world.add_host(bus, HOST, self._hear, self._hear_error)
 
     def _hear(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
         self._queued -= transmitted
 
     def _hear_error(self, message: bytes, time_ns: int, _: bool) -> None:
-        """Ignore error frames; the queue shows the delay."""
+        self._acknowledgements.hear(message)
 
     def send(self, frame: bytes) -> None:
         """Queue the frame on the bus."""
@@ -179,9 +209,10 @@ class RigSink:
 class HubSink:
     """A bus of `motorhil serve --socket`, which reports when a frame was carried."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, note: Note) -> None:
         """Connect to the hub. Raises PlaceError if no hub serves there, or if it refuses."""
         self.name = place.text
+        self._acknowledgements = _Acknowledgements(place.text, note)
         try:
             self._link = HubLink.with_all(place.channel)
         except can.CanError as error:
@@ -198,9 +229,8 @@ class HubSink:
         self._queued += 1
 
     def is_ready(self) -> bool:
-        """Return True if the queue has room; the hub is read only when it may be full."""
-        if self._queued >= _QUEUED_MAX // 2:
-            self._listen()
+        """Return True if the queue has room."""
+        self._listen()
         return self._queued < _QUEUED_MAX
 
     def is_empty(self) -> bool:
@@ -212,6 +242,8 @@ class HubSink:
         try:
             while (heard := self._link.receive(0.0)) is not None:
                 self._queued -= heard[2]
+                if is_error(heard[0]):
+                    self._acknowledgements.hear(heard[0])
         except can.CanError as error:
             raise SendError(str(error)) from None
 
@@ -224,11 +256,13 @@ class HubSink:
 class SocketCanSink:
     """A SocketCAN interface; the kernel's queue limits the rate."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, note: Note) -> None:
         """Open the interface. Raises PlaceError if it cannot be used."""
         self.name = place.text
+        self._acknowledgements = _Acknowledgements(place.text, note)
         self._socket = open_interface(place)
-        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")  # receive nothing
+        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")  # receive no frames
+        self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERRORS)
         self.carries_fd = _mtu(place.channel) >= _FD_MTU
         if self.carries_fd:
             self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
@@ -256,11 +290,19 @@ class SocketCanSink:
 
     def is_ready(self) -> bool:
         """Return True: `send` waits."""
+        self._listen()
         return True
 
     def is_empty(self) -> bool:
         """Return True: the kernel does not report it."""
+        self._listen()
         return True
+
+    def _listen(self) -> None:
+        """Read the error messages of the controller."""
+        with suppress(OSError):
+            while True:
+                self._acknowledgements.hear(self._socket.recv(_FD_MTU, socket.MSG_DONTWAIT))
 
     def close(self) -> None:
         """Close the socket; the interface itself is unaffected."""

@@ -3,23 +3,27 @@
 Traffic is one entry per frame or ADU, for any medium. Most frames are PDOs, and most of their
 objects are not drawn. The position of each quantity in a PDO is therefore computed once, from the
 decoder's knowledge, and again after anything that may change it. All other CANopen frames go to the
-decoder. Repeated heartbeats are ignored.
+decoder. Of repeated heartbeats only the times count.
+
+A state lasts until the next message about it, but not longer than the node is heard. From a reset
+command, a boot-up, or the first of several missing heartbeats on, an earlier state is unknown.
 """
 
 import struct
 from array import array
 from dataclasses import dataclass, field
-from typing import Final, final
+from functools import cache
+from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.analysis.from_recording import RecordedBus
 from motorhil.harness.analysis.subject import Queues, Subject
-from motorhil.harness.report.incidents import Incidents, Severity
-from motorhil.harness.report.series import Steps, Track
+from motorhil.harness.report.incidents import KEPT, Incidents, Severity
+from motorhil.harness.report.series import STRETCH_NS, Steps, Track, cell_width_ns, cells
 from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder, usual_name
-from motorhil.traces.decoding.cia402 import STATES, state_number
+from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.decoding.objects import axis_of
@@ -27,12 +31,17 @@ from motorhil.traces.formats.modbus import Malformed, recorded_adu
 from motorhil.traces.protobuf import Value
 from motorhil.traces.schema import Direction, FrameDecoder
 
+if TYPE_CHECKING:
+    from numpy import int64
+    from numpy.typing import NDArray
+
 Place = tuple[str, int, int]
 """Bus, node or unit, axis from 1."""
 LABELS_MAX: Final = 4_000
 """Limit of distinguished identifiers on one bus."""
+_HEAD: Final = struct.Struct("<IB")
 _SYNC: Final = 0x080
-_HEAD: Final = struct.Struct("<IBB")
+_HEARTBEAT_TIME: Final = 0x1017
 
 # Index: True if signed. Source: CiA 402-2, object dictionary.
 QUANTITIES: Final[dict[int, bool]] = {
@@ -52,8 +61,16 @@ QUANTITIES: Final[dict[int, bool]] = {
 STATUSWORD: Final = 0x6041
 FAULTS: Final = tuple(n for n, (_, _, name) in enumerate(STATES) if name.startswith("fault"))
 
-_Part = tuple[int, int, int, bool, int, int]
-"""Node, shift, mask, True if signed, axis, index on the first axis."""
+FRAMES_MEASURED: Final = 1_000_000
+"""Limit of the frames of one bus from which response times are measured."""
+NO_HEARTBEAT: Final = 0x100
+RESET: Final = 0x101
+"""Numbers beside the NMT states: heartbeats are missing; reset, without a message since."""
+_OTHER_STATES: Final = {NO_HEARTBEAT: "no heartbeat", RESET: "reset"}
+_OF_DRIVE: Final = {0x81}  # NMT command that also resets the drive profile, and its power
+_RESETS: Final = {0x81, 0x82}
+_GAPS: Final = 8  # the period of a heartbeat is the median of so many distances
+_MISSING: Final = 3  # periods without a heartbeat
 _LEVELS: Final[dict[ControllerState | None, Severity]] = {
     ControllerState.BUS_OFF: Severity.ERROR,
     ControllerState.ACTIVE: Severity.INFO,
@@ -95,6 +112,9 @@ class Traffic:
         labels: the distinguished kinds (identifiers, functions), in order of appearance.
         ranks: sort key of each label.
         names: description of each label.
+        counts: number of frames in each of the first entries, which are cells.
+        width_ns: duration of a cell [ns], whose time is its begin; 0: all entries are frames.
+        frames: number of all frames.
     """
 
     name: str
@@ -108,12 +128,38 @@ class Traffic:
     labels: list[str] = field(default_factory=list)
     ranks: list[int] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
+    counts: "array[int]" = field(default_factory=lambda: array("q"))
+    width_ns: int = 0
+    frames: int = 0
 
     def add(self, time_ns: int, key: int, weight: int) -> None:
-        """Add one entry."""
+        """Add one frame."""
+        self.frames += 1
         self.times_ns.append(time_ns)
         self.keys.append(key)
         self.weights.append(weight)
+
+    def arrays(self) -> "tuple[NDArray[int64], ...]":
+        """Return times, keys, weights and counts of all entries, in order of arrival."""
+        import numpy as np
+
+        times, keys, weights, counts = (
+            np.array(one, dtype=np.int64)
+            for one in (self.times_ns, self.keys, self.weights, self.counts)
+        )
+        single = np.ones(len(times) - len(counts), dtype=np.int64)
+        return times, keys, weights, np.concatenate((counts, single))
+
+    def sum_up(self, budget: int) -> None:
+        """Sum the entries in at most `budget` cells, of the shortest duration that allows it."""
+        times, keys, weights, counts = self.arrays()
+        width_ns = cell_width_ns(times, keys, budget, max(self.width_ns, STRETCH_NS))
+        times, keys, weights, counts = cells(times, keys, weights, counts, width_ns)
+        self.width_ns = width_ns
+        self.times_ns = array("q", times.tobytes())
+        self.keys = array("H", keys.astype("<u2").tobytes())
+        self.weights = array("L", weights.astype("<u8").tobytes())
+        self.counts = array("q", counts.tobytes())
 
     def label(self, text: str, rank: int, name: str = "") -> int:
         """Return the number of a new label; from `LABELS_MAX` on, one number for all the rest."""
@@ -247,6 +293,78 @@ class Nodes:
 
 
 @final
+class _Part:
+    """One quantity in a PDO.
+
+    Attributes:
+        end: first bit after it.
+        sign, modulus: bit and value to subtract if it is set; 0 if it is unsigned.
+        track: its track, if it is drawn as a line and has a value.
+        steps: its states, if it is a statusword and has a value.
+    """
+
+    __slots__ = (
+        *("axis", "end", "index", "mask", "modulus", "node", "shift", "sign", "steps", "track"),
+    )
+
+    def __init__(self, node: int, axis: int, index: int, shift: int, bits: int) -> None:
+        self.node = node
+        self.axis = axis
+        self.index = index
+        self.shift = shift
+        self.end = shift + bits
+        self.mask = (1 << bits) - 1
+        is_signed = QUANTITIES[index] and bits > 0
+        self.sign = 1 << bits - 1 if is_signed else 0
+        self.modulus = 1 << bits
+        self.track: Track | None = None
+        self.steps: Steps | None = None
+
+
+@final
+class _Plan:
+    """The drawn quantities in PDOs of one identifier, and the time of the latest one."""
+
+    __slots__ = ("heard_ns", "parts")
+
+    def __init__(self, parts: tuple[_Part, ...]) -> None:
+        self.parts = parts
+        self.heard_ns = 0
+
+
+@final
+class _Beat:
+    """The heartbeat of one node.
+
+    Attributes:
+        state: its latest NMT state.
+        last_ns: the time of the latest heartbeat [ns].
+    """
+
+    __slots__ = ("_gaps", "last_ns", "state")
+
+    def __init__(self, time_ns: int, state: int) -> None:
+        self.state = state
+        self.last_ns = time_ns
+        self._gaps: list[int] = []
+
+    def add(self, time_ns: int) -> None:
+        """Add a heartbeat."""
+        if len(self._gaps) < _GAPS:
+            self._gaps.append(time_ns - self.last_ns)
+        self.last_ns = time_ns
+
+    def missing_since(self, time_ns: int) -> int | None:
+        """Return when the first of several missing heartbeats was due [ns]; None: none misses."""
+        if len(self._gaps) < 2:
+            return None
+        period_ns = sorted(self._gaps)[len(self._gaps) // 2]
+        if period_ns <= 0 or time_ns - self.last_ns <= _MISSING * period_ns:
+            return None
+        return self.last_ns + period_ns
+
+
+@final
 class CanBus:
     """Collector of the frames of one bus.
 
@@ -255,8 +373,9 @@ class CanBus:
         unmapped: number of possible PDOs without a known mapping.
         switched: number of frames with a bit rate switch, on a bus without a known data bit rate.
         untyped: nodes whose device type names no profile; their objects are read as CiA 402.
-        doubtful: possible emergencies on a bus without other signs of CANopen; they are reported
-            only after the first sign.
+        doubts: number of possible emergencies on a bus without other signs of CANopen; the first
+            of them are reported after the first sign.
+        is_timed: True if the log times are times, not numbers of messages.
     """
 
     def __init__(
@@ -275,7 +394,7 @@ class CanBus:
         self.unmapped = 0
         self.switched = 0
         self._rates = bitrate_bit_s, data_bitrate_bit_s
-        self._recorded = RecordedBus(name)
+        self._recorded = RecordedBus(name, FRAMES_MEASURED)
         self.untyped: set[int] = set()
         self._name = name
         self._nodes = nodes
@@ -286,11 +405,13 @@ class CanBus:
         self._node_names = own
         self._decoder = CanopenDecoder(own, objects)
         self._labels: dict[int, int] = {}
-        self._plans: dict[int, tuple[_Part, ...] | None] = {}
-        self._heartbeats: dict[int, int] = {}
+        self._plans: dict[int, _Plan | None] = {}
+        self._beats: dict[int, _Beat] = {}
         self._no_drives: set[int] = set()
         self._is_canopen = False
-        self.doubtful: list[tuple[int, Severity, str]] = []
+        self.is_timed = True
+        self.doubts = 0
+        self._doubtful: list[tuple[int, Severity, str]] = []
 
     def take(self, time_ns: int, payload: bytes) -> None:
         """Take a recorded frame.
@@ -299,20 +420,20 @@ class CanBus:
             ValueError: the payload is not a frame.
         """
         frame, _, sender = self._frames.decode(payload)
-        can_id, length, _ = _HEAD.unpack_from(frame)
-        if can_id & ERR:
-            self._recorded.take(time_ns, frame, sender)
+        can_id, length = _HEAD.unpack_from(frame)
+        bits = self._recorded.take(time_ns, frame, sender)
+        if bits is None:
+            if not can_id & ERR:
+                raise ValueError(f"{frame.hex()}: not a valid CAN frame")
             self._error(time_ns, frame, sender)
             return
-        self._weigh(time_ns, can_id, frame, sender)
+        self._weigh(time_ns, can_id, bits)
         if can_id & (EFF | RTR) or len(frame) != 16:
             return
         function = can_id >> 7
         if function == 14 and length == 1:
-            state = frame[8]
-            if state and self._heartbeats.get(can_id) == state:
+            if self._is_known_beat(time_ns, can_id & 0x7F, frame[8]):
                 return
-            self._heartbeats[can_id] = state
         elif can_id and not (function == 1 and length == 8) and function not in (11, 12):
             if can_id == _SYNC and length <= 1 and not self._is_canopen:
                 self._begin_canopen(self._decoder.decode(frame))
@@ -320,21 +441,26 @@ class CanBus:
             return
         self._tell(time_ns, self._decoder.decode(frame))
 
+    def end(self, end_ns: int) -> None:
+        """Examine the heartbeats up to the end of the recording."""
+        for node, beat in self._beats.items():
+            self._note_missing(node, beat, end_ns)
+
     # ----------------------------------------------------------------------------------- load
 
-    def _weigh(self, time_ns: int, can_id: int, frame: bytes, sender: str) -> None:
-        bits = self._recorded.take(time_ns, frame, sender)
-        if bits is None:
-            raise ValueError(f"{frame.hex()}: not a valid CAN frame")
+    def _weigh(self, time_ns: int, can_id: int, bits: tuple[int, int]) -> None:
         key = self._labels.get(can_id)
         if key is None:
-            key = self._labels[can_id] = self._new_label(can_id)
+            key = self._new_label(can_id)
+            if key < LABELS_MAX:
+                self._labels[can_id] = key
         nominal, data = bits
-        rate, data_rate = self._rates
-        if data and rate and data_rate:  # in nominal bit times
-            data = round(data * rate / data_rate)
-        elif data and not data_rate:
-            self.switched += 1
+        if data:
+            rate, data_rate = self._rates
+            if rate and data_rate:  # in nominal bit times
+                data = round(data * rate / data_rate)
+            elif not data_rate:
+                self.switched += 1
         self.traffic.add(time_ns, key, nominal + data)
 
     def subject(self, by_priority: frozenset[str]) -> Subject | None:
@@ -368,33 +494,43 @@ class CanBus:
         if plan is None:
             self.unmapped += 1
             return
-        if not plan:
+        if not plan.parts:
             return
+        plan.heard_ns = time_ns
         raw, size = int.from_bytes(data, "little"), 8 * len(data)
-        for node, shift, mask, is_signed, axis, index in plan:
-            width = mask.bit_length()
-            if shift + width > size:
+        for part in plan.parts:
+            if part.end > size:
                 continue
-            value = raw >> shift & mask
-            if is_signed and value >> width - 1:
-                value -= 1 << width
-            self._quantity(time_ns, node, axis, index, value)
+            value = raw >> part.shift & part.mask
+            if value & part.sign:
+                value -= part.modulus
+            track = part.track
+            if track is not None:
+                if value != track.last:
+                    track.add(time_ns, value)
+            elif part.steps is None or _state_number(value & 0xFFFF) != part.steps.last:
+                told = self._quantity(time_ns, part.node, part.axis, part.index, value)
+                if part.index == STATUSWORD:
+                    part.steps = told.pds
+                else:
+                    part.track = told.tracks.get(part.index)
 
-    def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
+    def _plan(self, identifier: int) -> _Plan | None:
         """Return the drawn parts of a PDO; None: a PDO without a known mapping."""
         layout, unknown = self._decoder.maps.layout(identifier)
         parts: list[_Part] = []
         for (node, _, _), at, (index, _, bits) in layout:
             axis, first = axis_of(index)
             if first in QUANTITIES and node not in self._no_drives:
-                parts.append((node, at, (1 << bits) - 1, QUANTITIES[first], axis, first))
-        return None if unknown and not parts else tuple(parts)
+                parts.append(_Part(node, axis, first, at, bits))
+        return None if unknown and not parts else _Plan(tuple(parts))
 
-    def _quantity(self, time_ns: int, node: int, axis: int, index: int, value: int) -> None:
+    def _quantity(self, time_ns: int, node: int, axis: int, index: int, value: int) -> Told:
+        """Add a value; return all values of its axis."""
         told = self._nodes.of(self._name, node, axis)
         if index == STATUSWORD:
             before = told.pds.last
-            code = state_number(value)
+            code = _state_number(value & 0xFFFF)
             if told.pds.add(time_ns, code) and code in FAULTS and before not in FAULTS:
                 name = self._node_names.get(node, f"node {node}")
                 axis_text = f" axis {axis}" if axis > 1 else ""
@@ -404,6 +540,7 @@ class CanBus:
             told.mode.add(time_ns, value)
         elif index != 0x603F:
             told.track(index).add(time_ns, value)
+        return told
 
     def _tell(self, time_ns: int, said: DecodedEvent) -> None:
         """Handle a frame that the decoder has read."""
@@ -415,13 +552,16 @@ class CanBus:
             return
         if kind in (Kind.BOOT, Kind.NMT):
             self._plans.clear()
-            self._heartbeats.clear()
+            if kind is Kind.NMT and said.facts:
+                self._reset(time_ns, node, said.facts[0].value)
             word = "boot-up" if kind is Kind.BOOT else "NMT command"
             self._incidents.add(time_ns, Severity.INFO, word, self._name, said.text)
         if kind in (Kind.BOOT, Kind.HEARTBEAT) and node is not None:
             code = said.facts[0].value
             assert isinstance(code, int)
             self._nodes.of(self._name, node, 1).nmt.add(time_ns, code)
+            if kind is Kind.BOOT:
+                self._forget_power(node, time_ns)
         elif kind is Kind.EMERGENCY:
             data = said.facts[0].value
             over = isinstance(data, bytes) and data[:2] == b"\0\0"
@@ -429,16 +569,69 @@ class CanBus:
             if self._is_canopen:
                 self._incidents.add(time_ns, level, "emergency", self._name, said.text)
             else:
-                self.doubtful.append((time_ns, level, said.text))
+                self.doubts += 1
+                if self.doubts <= KEPT:
+                    self._doubtful.append((time_ns, level, said.text))
 
     def _begin_canopen(self, said: DecodedEvent) -> None:
         """Accept the doubtful emergencies after the first certain sign of CANopen."""
         if said.kind in (Kind.SDO_REQUEST, Kind.SDO_RESPONSE) and said.index is None:
             return
         self._is_canopen = True
-        for time_ns, level, text in self.doubtful:
+        for time_ns, level, text in self._doubtful:
             self._incidents.add(time_ns, level, "emergency", self._name, text)
-        self.doubtful.clear()
+        if self.doubts > len(self._doubtful):
+            self._incidents.counts["emergency"] += self.doubts - len(self._doubtful)
+        self._doubtful.clear()
+        self.doubts = 0
+
+    def _is_known_beat(self, time_ns: int, node: int, state: int) -> bool:
+        """Take the time of a heartbeat; return True if it tells nothing else that is new."""
+        beat = self._beats.get(node)
+        if not state or beat is None:
+            self._beats[node] = _Beat(time_ns, state)
+            return False
+        was_missing = self._note_missing(node, beat, time_ns)
+        beat.add(time_ns)
+        if beat.state == state and not was_missing:
+            return True
+        beat.state = state
+        return False
+
+    def _note_missing(self, node: int, beat: _Beat, now_ns: int) -> bool:
+        """End the states of a node whose heartbeat is missing; return True if it is."""
+        since_ns = beat.missing_since(now_ns) if self.is_timed else None
+        if since_ns is None:
+            return False
+        self._nodes.of(self._name, node, 1).nmt.add(since_ns, NO_HEARTBEAT)
+        told_ns = [
+            plan.heard_ns
+            for plan in self._plans.values()
+            if plan is not None and any(part.node == node for part in plan.parts)
+        ]
+        if max(told_ns, default=0) <= since_ns:
+            self._forget_power(node, since_ns)
+        return True
+
+    def _reset(self, time_ns: int, node: int | None, command: object) -> None:
+        """End the states of the nodes that a command resets."""
+        if command not in _RESETS:
+            return
+        for (bus, number, axis), told in list(self._nodes.told.items()):
+            if bus != self._name or node not in (None, number):
+                continue
+            if axis == 1 and len(told.nmt):
+                told.nmt.add(time_ns, RESET)
+            self._beats.pop(number, None)
+            if command in _OF_DRIVE:
+                self._forget_power(number, time_ns)
+
+    def _forget_power(self, node: int, time_ns: int) -> None:
+        """End the states of the drives of a node, which has been reset or is not heard."""
+        for (bus, number, _), told in self._nodes.told.items():
+            is_of_node = (bus, number) == (self._name, node)
+            if is_of_node and len(told.pds) and told.pds.times_ns[-1] <= time_ns:
+                told.pds.add(time_ns, UNKNOWN_STATE)
 
     def _sdo(self, time_ns: int, said: DecodedEvent) -> None:
         index, node = said.index, said.node
@@ -452,6 +645,8 @@ class CanBus:
             return
         if 0x1400 <= index < 0x1C00:
             self._plans.clear()
+        elif index == _HEARTBEAT_TIME:
+            self._beats.pop(node, None)
         elif index == 0x1000:
             self._plans.clear()
             profile = fact.value & 0xFFFF
@@ -470,6 +665,12 @@ class CanBus:
         self._incidents.add(time_ns, level, kind, self._name, said.text)
 
 
+@cache
+def _state_number(statusword: int) -> int:
+    """Return the number of the state in one of 65536 statuswords."""
+    return state_number(statusword)
+
+
 def nmt_text(code: int) -> str:
     """Return the name of an NMT state."""
-    return NMT_STATES.get(code, f"state {code:02X}h")
+    return _OTHER_STATES.get(code) or NMT_STATES.get(code, f"state {code:02X}h")

@@ -1,13 +1,28 @@
-"""Collection of a recording's contents in one pass."""
+"""Collection of a recording's contents in one pass, in bounded memory.
 
+Only values that the page draws are kept. Their number is limited: beyond it, quantities are reduced
+to the extremes of stretches of time, and frames to sums over cells of time. Both grow with the
+recording. States, locks and incidents are limited in number.
+"""
+
+import re
+from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
 from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, Traffic
 from motorhil.harness.report.incidents import Incidents, Severity
-from motorhil.harness.report.series import TIME_MAX_NS, Track
+from motorhil.harness.report.series import (
+    FRAMES_MAX,
+    KEPT_MAX,
+    STRETCH_NS,
+    TIME_MAX_NS,
+    Track,
+    reduce_held,
+    reduce_rows,
+)
 from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.mcap.records import Channel
@@ -19,6 +34,8 @@ from motorhil.traces.schema import (
     LOG,
     MODBUS_ADU,
     MOTOR_LOCK,
+    DoublesDecoder,
+    DoublesLayout,
     Level,
     LockAction,
     TruthDecoder,
@@ -27,6 +44,17 @@ from motorhil.traces.schema import (
 from motorhil.traces.semantics.ownership import LockEvent, lock_event
 
 _Handler = Callable[[int, bytes], None]
+DRAWN: Final = (
+    *("position_rad", "velocity_rad_s", "torque_n_m"),
+    *("position_inc", "demand_inc", "following_error_inc", "state"),
+)
+"""The quantities of a truth that are drawn, for each of its channels."""
+LOCKS_MAX: Final = 100_000
+GROUPS_MAX: Final = 20_000
+_CHANNEL: Final = re.compile(r"channel_\d+_")
+_ROWS: Final = 4_096  # messages of one channel decoded at once
+_BOUND: Final = 1 << 16  # messages between two looks at the limits
+_COMPARED: Final = (0x6062, 0x6064)  # demand and actual position: their difference is drawn
 _BAD_ACTIONS: Final = {
     LockAction.REFUSED: "lock refused",
     LockAction.BROKEN: "lock of a dead owner",
@@ -61,7 +89,10 @@ class Findings:
             "ns" each].
         states: tracks by motor and quantity ("position", "velocity", "effort").
         truths: tracks by controller and the controller's own key.
-        locks: lock events, with times from `begin_ns`.
+        locks: the first `LOCKS_MAX` lock events, with times from `begin_ns`.
+        groups: the first `GROUPS_MAX` messages about groups.
+        left_out: number of lock events and messages about groups beyond these limits, by kind.
+        stretch_ns: duration of the stretches to which tracks are reduced [ns]; 0: they are not.
     """
 
     rig: RigFacts
@@ -81,17 +112,58 @@ class Findings:
     groups: list[GroupMoment] = field(default_factory=list)
     buses: dict[str, CanBus] = field(default_factory=dict)
     lines: dict[str, ModbusLine] = field(default_factory=dict)
+    left_out: Counter[str] = field(default_factory=Counter)
+    stretch_ns: int = 0
 
     def traffics(self) -> list[Traffic]:
         """Return the traffic of all buses and lines, by name."""
         found = [bus.traffic for bus in self.buses.values()]
         return sorted(found + [line.traffic for line in self.lines.values()], key=lambda t: t.name)
 
+    def bound(self, kept_max: int = KEPT_MAX, frames_max: int = FRAMES_MAX) -> None:
+        """Reduce tracks and traffic to half of these limits if they exceed them."""
+        frames = sum(len(one.times_ns) for one in self.traffics())
+        if frames > frames_max:
+            for one in self.traffics():
+                one.sum_up(max(400, frames_max // 2 * len(one.times_ns) // frames))
+        if self._kept() <= kept_max:
+            return
+        tracks = [track for track in self._tracks() if len(track)]
+        span_ns = max(max(track.times_ns) for track in tracks)
+        self.stretch_ns = max(self.stretch_ns, STRETCH_NS)
+        while 4 * len(tracks) * span_ns > kept_max * self.stretch_ns:
+            self.stretch_ns *= 2
+        self._reduce()
+        while self._kept() > kept_max // 2:
+            self.stretch_ns *= 2
+            self._reduce()
+
+    def _tracks(self) -> Iterator[Track]:
+        for tracks in (*self.states.values(), *self.truths.values()):
+            yield from tracks.values()
+        for told in self.nodes.told.values():
+            yield from told.tracks.values()
+
+    def _kept(self) -> int:
+        return sum(len(track) for track in self._tracks())
+
+    def _reduce(self) -> None:
+        for tracks in self.states.values():
+            reduce_rows(tracks.values(), (), self.stretch_ns)
+        for tracks in self.truths.values():
+            demands = [track for key, track in tracks.items() if key.endswith("demand_inc")]
+            reduce_rows(tracks.values(), demands, self.stretch_ns)
+        for told in self.nodes.told.values():
+            pair = [told.tracks[index] for index in _COMPARED if len(told.tracks.get(index, ()))]
+            if len(pair) == len(_COMPARED):
+                reduce_held(pair, self.stretch_ns)
+            others = [track for track in told.tracks.values() if len(pair) < 2 or track not in pair]
+            reduce_rows(others, (), self.stretch_ns)
+
 
 def collect(
     trace: Trace,
     bitrates: Mapping[str, int] | None = None,
-    progress: Callable[[int], None] | None = None,
     data_bitrates: Mapping[str, int] | None = None,
 ) -> Findings:
     """Collect the contents of a recording; of a truncated one, as far as it is readable.
@@ -99,7 +171,6 @@ def collect(
     Args:
         trace: the open recording.
         bitrates: bit rates of CAN buses [bit/s]; they override the recording.
-        progress: called from time to time with the number of messages read.
         data_bitrates: the same for the data phase of CAN FD.
 
     Raises:
@@ -114,43 +185,143 @@ def collect(
     found.begin_ns = span[0]
     found.in_order = span[0] == span[1]
     pass_ = _Pass(found)
-    last_ns = end_ns = span[0]
+    handlers, tallies = pass_.handlers, pass_.tallies
+    begin_ns, in_order = span[0], found.in_order
+    last_ns = end_ns = begin_ns
     count = 0
     for channel, time_ns, payload in trace.messages():
         count += 1
-        if time_ns < last_ns:
+        if time_ns > end_ns:
+            end_ns = time_ns
+        elif time_ns < last_ns:
             found.backward += 1
         last_ns = time_ns
-        end_ns = max(end_ns, time_ns)
-        at_ns = count if found.in_order else min(time_ns - span[0], TIME_MAX_NS)
-        pass_.take(channel, at_ns, payload)
-        if progress is not None and not count % 20_000:
-            progress(count)
-    found.end_ns = span[0] + count if found.in_order else end_ns
+        at_ns = count if in_order else time_ns - begin_ns
+        if at_ns > TIME_MAX_NS:
+            at_ns = TIME_MAX_NS
+        number = channel.number
+        handler = handlers.get(number) or pass_.open(channel)
+        tallies[number] += 1
+        try:
+            handler(at_ns, payload)
+        except ValueError:
+            found.unread[channel.topic] += 1
+        if not count % _BOUND:
+            pass_.settle()
+            found.bound()
+    found.end_ns = begin_ns + count if in_order else end_ns
+    pass_.end(found.end_ns - begin_ns)
     return found
 
 
 @final
+class _Columns:
+    """Decoder of a channel's doubles into tracks, in bulk.
+
+    Args:
+        decoder: the decoder of messages whose layout changes, or is not one of `DoublesLayout`.
+        slow: returns the values of any payload by name.
+        is_drawn: returns True if a quantity is drawn.
+        tracks: filled with the tracks by quantity.
+    """
+
+    def __init__(
+        self,
+        decoder: DoublesDecoder,
+        slow: Callable[[bytes], dict[str, float]],
+        is_drawn: Callable[[str], bool],
+        tracks: dict[str, Track],
+    ) -> None:
+        self._decoder = decoder
+        self._slow = slow
+        self._is_drawn = is_drawn
+        self._tracks = tracks
+        self._layout: DoublesLayout | None = None
+        self._times: array[int] = array("q")
+        self._rows = bytearray()
+
+    def take(self, time_ns: int, payload: bytes) -> None:
+        """Take a message; raise ValueError if it cannot be decoded."""
+        layout = self._layout
+        if layout is not None and layout.fits(payload):
+            self._times.append(time_ns)
+            self._rows += payload
+            if len(self._times) >= _ROWS:
+                self.settle()
+            return
+        self.settle()
+        values = self._slow(payload)
+        for name, value in values.items():
+            if self._is_drawn(name):
+                self._track(name).add(time_ns, value)
+        layout = self._decoder.layout(payload)
+        is_whole = layout is not None and len(layout.names) == len(values)
+        self._layout = layout if is_whole else None
+
+    def settle(self) -> None:
+        """Decode the messages that were taken since the last call."""
+        layout = self._layout
+        if layout is None or not self._times:
+            return
+        import numpy as np
+
+        times = np.array(self._times)
+        rows = np.frombuffer(bytes(self._rows), dtype=np.uint8).reshape(len(times), layout.size)
+        begin = len(layout.prefix)
+        for place, name in enumerate(layout.names):
+            if self._is_drawn(name):
+                at = begin + 9 * place + 1
+                values = np.ascontiguousarray(rows[:, at : at + 8]).view("<f8")[:, 0]
+                self._track(name).extend(times, values)
+        self._times = array("q")
+        self._rows.clear()
+
+    def _track(self, name: str) -> Track:
+        track = self._tracks.get(name)
+        if track is None:
+            track = self._tracks[name] = Track()
+        return track
+
+
+@final
 class _Pass:
-    """Dispatcher of messages to the handlers of their channels."""
+    """Dispatcher of messages to the handlers of their channels.
+
+    Attributes:
+        handlers: the handler of each channel, by its number.
+        tallies: the number of messages of each channel.
+    """
 
     def __init__(self, found: Findings) -> None:
+        self.handlers: dict[int, _Handler] = {}
+        self.tallies: dict[int, int] = {}
         self._found = found
-        self._handlers: dict[int, tuple[str, _Handler | None]] = {}
+        self._channels: list[tuple[Channel, bool]] = []
+        self._columns: list[_Columns] = []
 
-    def take(self, channel: Channel, time_ns: int, payload: bytes) -> None:
-        known = self._handlers.get(channel.number)
-        if known is None:
-            known = self._handlers[channel.number] = (channel.topic, self._handler(channel))
-        topic, handler = known
-        self._found.messages[topic] += 1
-        if handler is None:
-            self._found.not_drawn[topic] += 1
-            return
-        try:
-            handler(time_ns, payload)
-        except ValueError:
-            self._found.unread[topic] += 1
+    def open(self, channel: Channel) -> _Handler:
+        """Return the handler of a channel's messages, which may ignore them."""
+        handler = self._handler(channel)
+        self._channels.append((channel, handler is not None))
+        self.tallies[channel.number] = 0
+        self.handlers[channel.number] = handler or _ignore
+        return self.handlers[channel.number]
+
+    def settle(self) -> None:
+        """Decode what was only collected so far."""
+        for columns in self._columns:
+            columns.settle()
+
+    def end(self, end_ns: int) -> None:
+        """Complete the findings at the recording's end [ns from its beginning]."""
+        self.settle()
+        for bus in self._found.buses.values():
+            bus.end(end_ns)
+        for channel, is_drawn in self._channels:
+            count = self.tallies[channel.number]
+            self._found.messages[channel.topic] += count
+            if not is_drawn:
+                self._found.not_drawn[channel.topic] += count
 
     def _handler(self, channel: Channel) -> _Handler | None:
         found = self._found
@@ -166,6 +337,7 @@ class _Pass:
                 )
                 nodes, incidents = found.nodes, found.incidents
                 bus = CanBus(name, rate, found.names, nodes, incidents, data_rate)
+                bus.is_timed = not found.in_order
                 found.buses[name] = bus
             return bus.take
         if schema.name == MODBUS_ADU.name:
@@ -191,33 +363,29 @@ class _Pass:
         line.take(time_ns, fields, self._found.begin_ns)
 
     def _state_handler(self, motor: str) -> _Handler:
+        decoder = DoublesDecoder(JOINT_STATE)
         tracks = self._found.states.setdefault(motor, {})
-
-        def take(time_ns: int, payload: bytes) -> None:
-            for name, value in decode(JOINT_STATE, payload).items():
-                if isinstance(value, float):
-                    track = tracks.get(name)
-                    if track is None:
-                        track = tracks[name] = Track()
-                    track.add(time_ns, value)
-
-        return take
+        columns = _Columns(decoder, decoder.decode, lambda name: True, tracks)
+        self._columns.append(columns)
+        return columns.take
 
     def _truth_handler(self, controller: str, reader: TruthDecoder) -> _Handler:
         tracks = self._found.truths.setdefault(controller, {})
 
-        def take(time_ns: int, payload: bytes) -> None:
-            for name, value in reader.decode(payload).items():
-                track = tracks.get(name)
-                if track is None:
-                    track = tracks[name] = Track()
-                track.add(time_ns, value)
+        def is_drawn(name: str) -> bool:
+            head = _CHANNEL.match(name)
+            return name[head.end() if head else 0 :] in DRAWN
 
-        return take
+        columns = _Columns(reader.doubles, reader.decode, is_drawn, tracks)
+        self._columns.append(columns)
+        return columns.take
 
     def _lock(self, motor: str, time_ns: int, payload: bytes) -> None:
         event = lock_event(motor, time_ns, payload)
-        self._found.locks.append(event)
+        if len(self._found.locks) < LOCKS_MAX:
+            self._found.locks.append(event)
+        else:
+            self._found.left_out["lock events"] += 1
         kind = _BAD_ACTIONS.get(event.action)
         if kind is not None:
             who = event.owner or "unknown owner"
@@ -227,6 +395,9 @@ class _Pass:
 
     def _group(self, group: str, time_ns: int, payload: bytes) -> None:
         fields = decode(GROUP_SYNC, payload)
+        if len(self._found.groups) >= GROUPS_MAX:
+            self._found.left_out["messages about groups"] += 1
+            return
         self._found.groups.append(
             GroupMoment(
                 time_ns,
@@ -254,6 +425,10 @@ class _Pass:
         who = str(fields.get("name", "")) or "events"
         text = str(fields.get("message", ""))
         self._found.incidents.add(time_ns, severity, "event", who, text)
+
+
+def _ignore(time_ns: int, payload: bytes) -> None:
+    """Ignore a message that is not drawn."""
 
 
 def _name_in(topic: str) -> str:

@@ -11,8 +11,10 @@ from motorhil.harness.report.responses import responses_of
 from motorhil.harness.report.series import (
     FRAMES_MAX,
     POINTS_MAX,
+    STRETCH_NS,
     Packed,
     Packer,
+    cell_width_ns,
     cells,
     extremes,
     share,
@@ -56,16 +58,20 @@ def document_of(
     packer = Packer(span_ns)
     motors = motors_of(found)
     notes = _notes(trace, found)
-    points = sum(len(line.times_ns) for m in motors for p in m.plots for line in p.lines)
-    if points > points_max:
+    lines = [line for m in motors for p in m.plots for line in p.lines]
+    points = sum(len(line.times_ns) for line in lines)
+    omitted = sum(line.omitted for line in lines)
+    if points > points_max or omitted:
         notes.append(
-            f"{points:,} points of quantities are reduced to about {points_max:,}: the first, "
-            "the last, the lowest and the highest of each stretch of time"
+            f"{points + omitted:,} points of quantities are reduced to about "
+            f"{min(points, points_max):,}: the first, the last, the lowest and the highest of each "
+            "stretch of time"
         )
     frames = sum(len(one.times_ns) for one in found.traffics())
-    if frames > frames_max:
+    if frames > frames_max or any(one.width_ns for one in found.traffics()):
+        frames_all = sum(one.frames for one in found.traffics())
         notes.append(
-            f"{frames:,} frames are drawn as sums over short stretches of time; see the panels"
+            f"{frames_all:,} frames are drawn as sums over short stretches of time; see the panels"
         )
     document: Json = {
         "format": FORMAT,
@@ -148,15 +154,17 @@ def _notes(trace: Trace, found: Findings) -> list[str]:
         notes.append(f"{count:,} messages of {topic} cannot be read")
     for topic, count in found.not_drawn.items():
         notes.append(f"{topic} ({count:,} messages) has a type that is not drawn")
+    for kind, count in found.left_out.items():
+        notes.append(f"the last {count:,} {kind} are not drawn")
     for name, bus in found.buses.items():
         if bus.unmapped:
             notes.append(
                 f"{name}: the mapping of {bus.unmapped:,} possible PDOs is not in the "
                 "recording, so their objects are not drawn"
             )
-        if bus.doubtful:
+        if bus.doubts:
             notes.append(
-                f"{name}: {len(bus.doubtful):,} frames have identifiers of emergencies (081h "
+                f"{name}: {bus.doubts:,} frames have identifiers of emergencies (081h "
                 "to 0FFh), but the bus has no certain CANopen frame; they are ignored"
             )
         untyped = sorted({n for b, n, _ in found.nodes.told if b == name} & bus.untyped)
@@ -204,7 +212,7 @@ def _line(line: Line, packer: Packer, points: int, points_max: int) -> Json:
         "role": line.role,
         "source": line.source,
         "held": line.held,
-        "points": count,
+        "points": count + line.omitted,
         "t": packer.times(times),
         "v": packer.numbers(values),
     }
@@ -252,7 +260,7 @@ def _best(motor: Motor, quantity: str) -> tuple[Line | None, str]:
 def _timeline(line: Timeline, packer: Packer) -> Json:
     rows: list[Json] = []
     for row in line.rows:
-        texts = list(dict.fromkeys(bar.text for bar in row.bars))
+        texts = {text: n for n, text in enumerate(dict.fromkeys(bar.text for bar in row.bars))}
         rows.append(
             {
                 "name": row.name,
@@ -261,8 +269,8 @@ def _timeline(line: Timeline, packer: Packer) -> Json:
                 "to": packer.whole([packer.ticks(bar.to_ns) for bar in row.bars]),
                 "word": packer.whole([bar.word for bar in row.bars]),
                 "waits": packer.whole([int(bar.waits) for bar in row.bars]),
-                "text": packer.whole([texts.index(bar.text) for bar in row.bars]),
-                "texts": texts,
+                "text": packer.whole([texts[bar.text] for bar in row.bars]),
+                "texts": list(texts),
             }
         )
     return {
@@ -308,16 +316,17 @@ def _finite(value: float | None) -> float | None:
 def _traffic(traffic: Traffic, packer: Packer, frames: int, frames_max: int) -> Json:
     import numpy as np
 
-    times = np.array(traffic.times_ns, dtype=np.int64)
-    keys = np.array(traffic.keys, dtype=np.int64)
-    weights = np.array(traffic.weights, dtype=np.int64)
-    order = np.argsort(times, kind="stable")
-    times, keys, weights = times[order], _by_rank(traffic, keys[order]), weights[order]
-    counts, width_ns = np.ones(len(times), dtype=np.int64), 0
+    times, keys, weights, counts = traffic.arrays()
+    keys, width_ns = _by_rank(traffic, keys), traffic.width_ns
     budget = share(len(times), frames, frames_max)
     if len(times) > budget:
-        width_ns = _cell_width_ns(times, keys, budget)
-        times, keys, weights, counts = cells(times, keys, weights, width_ns)
+        width_ns = cell_width_ns(times, keys, budget, max(width_ns, STRETCH_NS))
+    if width_ns:
+        times, keys, weights, counts = cells(times, keys, weights, counts, width_ns)
+        times = times + width_ns
+    else:
+        order = np.argsort(times, kind="stable")
+        times, keys, weights = times[order], keys[order], weights[order]
     ranked = sorted(range(len(traffic.labels)), key=lambda n: (traffic.ranks[n], n))
     packed: dict[str, Packed] = {
         "t": packer.times(times),
@@ -332,7 +341,7 @@ def _traffic(traffic: Traffic, packer: Packer, frames: int, frames_max: int) -> 
         "unit": traffic.unit,
         "capacity_s": traffic.capacity_s,
         "why": traffic.why_no_capacity,
-        "frames": len(traffic.times_ns),
+        "frames": traffic.frames,
         "cell_s": width_ns / 1e9,
         "labels": [traffic.labels[number] for number in ranked],
         "names": [traffic.names[number] for number in ranked],
@@ -350,20 +359,8 @@ def _by_rank(traffic: Traffic, keys: "NDArray[int64]") -> "NDArray[int64]":
     return places[keys]
 
 
-def _cell_width_ns(times: "NDArray[int64]", keys: "NDArray[int64]", budget: int) -> int:
-    """Return a cell width with at most `budget` cells: 125 us times a power of two."""
-    import numpy as np
-
-    width_ns = 125_000
-    while True:
-        codes = times // width_ns * (1 << 16) + keys
-        if len(np.unique(codes)) <= budget or width_ns > 1 << 60:
-            return width_ns
-        width_ns *= 2
-
-
 def _incidents(found: Findings, packer: Packer) -> Json:
-    ordered = sorted(found.incidents.kept, key=lambda one: one.time_ns)
+    ordered = sorted(found.incidents.kept(), key=lambda one: one.time_ns)
     kinds = sorted(found.incidents.counts)
     return {
         "kinds": kinds,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.report.buses import Place, Told
 from motorhil.harness.report.collect import Findings
-from motorhil.harness.report.series import Track
+from motorhil.harness.report.series import Track, difference, differences
 from motorhil.traces.decoding.attached_rig import MotorFacts
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ class Line:
         source: topic and field, or object.
         held: True if a value holds until the next one.
         times_ns, values: by time, shape (n,) each.
+        omitted: number of points that were removed while the recording was read.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Line:
     held: bool
     times_ns: "NDArray[int64]"
     values: "NDArray[float64]"
+    omitted: int = 0
 
 
 @final
@@ -150,11 +152,20 @@ def _measured(truth: dict[str, Track]) -> float | None:
     both = truth.get("position_inc"), truth.get("position_rad")
     if both[0] is None or both[1] is None or not len(both[0]):
         return None
-    low = min(range(len(both[0])), key=both[0].values.__getitem__)
-    high = max(range(len(both[0])), key=both[0].values.__getitem__)
+    import numpy as np
+
+    values = np.array(both[0].values)
+    if not np.isfinite(values).all():
+        return None
+    low, high = int(values.argmin()), int(values.argmax())
     travel_inc = both[0].values[high] - both[0].values[low]
     travel = both[1].values[high] - both[1].values[low]
     return travel_inc / travel if travel_inc >= _TRAVEL_INC and travel else None
+
+
+if TYPE_CHECKING:
+    _Points = tuple[NDArray[int64], NDArray[float64], int]
+    """Times, values, and the number of omitted points."""
 
 
 @final
@@ -214,8 +225,7 @@ class _Builder:
                 "drive",
                 source,
                 False,
-                times,
-                values / self._scale,
+                (times, values / self._scale, error.omitted),
             )
         elif error is not None:
             self._add("following error", "inc", "actual", "drive", source, error)
@@ -228,10 +238,11 @@ class _Builder:
         times, wanted = demand.sorted()
         values = true.sorted()[1] + (wanted - position.sorted()[1]) / self._scale
         name = f"{topic}.demand_inc"
-        self._line("position", "rad", "demand", "demand (drive)", name, False, times, values)
-        rates = differences(times, wanted / self._scale)
+        points = times, values, demand.omitted
+        self._line("position", "rad", "demand", "demand (drive)", name, False, points)
+        points = times, differences(times, wanted / self._scale), demand.omitted
         told = f"slope of {name}"
-        self._line("velocity", "rad/s", "demand", "demand (slope)", told, True, times, rates)
+        self._line("velocity", "rad/s", "demand", "demand (slope)", told, True, points)
 
     def add_told(self, told: Told) -> None:
         """Add the drive's values from the bus, where application and truth have none."""
@@ -252,9 +263,9 @@ class _Builder:
                 unit, factor = facts.unit, 1.0 / inc
             times, values = track.sorted()
             source = f"{index:04X}h on the bus"
-            self._line(
-                quantity, unit, role, f"{name} {index:04X}h", source, True, times, values * factor
-            )
+            name = f"{name} {index:04X}h"
+            points = times, values * factor, track.omitted
+            self._line(quantity, unit, role, name, source, True, points)
         demand, actual = told.tracks.get(0x6062), told.tracks.get(0x6064)
         if demand and actual and not any(name == "following error" for name, _ in self._plots):
             unit, factor = (facts.unit, 1.0 / inc) if inc is not None else ("inc", 1.0)
@@ -266,14 +277,14 @@ class _Builder:
                 "6062h minus 6064h",
                 "6062h minus 6064h on the bus",
                 True,
-                times,
-                values * factor,
+                (times, values * factor, demand.omitted + actual.omitted),
             )
 
     def _add(
         self, quantity: str, unit: str, role: str, name: str, source: str, track: Track
     ) -> None:
-        self._line(quantity, unit, role, name, source, track.held, *track.sorted())
+        points = (*track.sorted(), track.omitted)
+        self._line(quantity, unit, role, name, source, track.held, points)
 
     def _line(
         self,
@@ -283,11 +294,11 @@ class _Builder:
         name: str,
         source: str,
         held: bool,
-        times: "NDArray[int64]",
-        values: "NDArray[float64]",
+        points: "_Points",
     ) -> None:
+        times, values, omitted = points
         plot = self._plots.setdefault((quantity, unit), Plot(quantity, unit))
-        plot.lines.append(Line(name, role, source, held, times, values))
+        plot.lines.append(Line(name, role, source, held, times, values, omitted))
         self._roles.add((quantity, role))
 
 
@@ -310,31 +321,3 @@ _MISSING: Final = {
     "6062h in a known PDO",
     "torque": "no torque in the recording",
 }
-
-
-def differences(times_ns: "NDArray[int64]", values: "NDArray[float64]") -> "NDArray[float64]":
-    """Return the rate [1/s] from each point to the next; 0 after the last one.
-
-    Two points at the same time are a step after a pause in the recording. The step took one
-    sampling period at most; the shortest distance between two points is used for it.
-    """
-    import numpy as np
-
-    if len(times_ns) < 2:
-        return np.zeros(len(times_ns))
-    steps = np.diff(times_ns)
-    positive = steps[steps > 0]
-    shortest = int(positive.min()) if len(positive) else 1
-    rates = np.diff(values) / (np.maximum(steps, shortest) / 1e9)
-    return np.append(rates, 0.0)
-
-
-def difference(one: Track, other: Track) -> "tuple[NDArray[int64], NDArray[float64]]":
-    """Return one minus the other at every time of either, from the first common time on."""
-    import numpy as np
-
-    (t1, v1), (t2, v2) = one.sorted(), other.sorted()
-    times = np.unique(np.concatenate((t1, t2)))
-    times = times[times >= max(t1[0], t2[0])]
-    at = np.searchsorted(t1, times, "right") - 1, np.searchsorted(t2, times, "right") - 1
-    return times, v1[at[0]] - v2[at[1]]

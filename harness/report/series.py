@@ -1,8 +1,9 @@
 """Quantities over time: appended, reduced without visible loss, packed into one text.
 
 Values are appended one by one, then read as numpy arrays. A reduction keeps first, last, lowest and
-highest of each stretch of time. Arrays are packed as base64 of deflated bytes, sorted by
-significance.
+highest of each stretch of time. Tracks of a long recording are reduced while it is read, so that
+their memory is bounded. The stretches then double; each contains two former ones, so no lowest or
+highest value is lost. Arrays are packed as base64 of deflated bytes, sorted by significance.
 """
 
 import base64
@@ -11,7 +12,7 @@ from array import array
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from numpy import float64, int64, integer
     from numpy.typing import NDArray
@@ -23,6 +24,12 @@ POINTS_MAX: Final = 1_500_000
 """Points of all quantities together; below this number all are in the page."""
 FRAMES_MAX: Final = 1_500_000
 """Frames of all buses together; above, they are summed in cells of time and identifier."""
+KEPT_MAX: Final = 2_000_000
+"""Points of all tracks together while a recording is read; above, the tracks are reduced."""
+STEPS_MAX: Final = 20_000
+"""Bars in one row of a timeline; the remaining changes are counted as left out."""
+STRETCH_NS: Final = 125_000
+"""The shortest stretch of a reduction; the others are this one times a power of two."""
 TIME_MAX_NS: Final = 1 << 62
 """Limit of drawn times; a stamp that far from the beginning is invalid."""
 
@@ -33,26 +40,40 @@ class Track:
 
     Attributes:
         held: True if a value holds until the next one; False if it samples a smooth quantity.
+        last: the latest value; None: there is none.
+        omitted: number of points that reductions have removed.
     """
 
-    __slots__ = ("_last", "held", "times_ns", "values")
+    __slots__ = ("held", "last", "omitted", "times_ns", "values")
 
     def __init__(self, held: bool = False) -> None:
         self.times_ns: array[int] = array("q")
         self.values: array[float] = array("d")
         self.held = held
-        self._last: float | None = None
+        self.last: float | None = None
+        self.omitted = 0
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
     def add(self, time_ns: int, value: float) -> None:
         """Append a value; an unchanged value of a held quantity is skipped."""
-        if self.held and value == self._last:
+        if self.held and value == self.last:
             return
-        self._last = value
+        self.last = value
         self.times_ns.append(time_ns)
         self.values.append(value)
+
+    def extend(self, times: "NDArray[int64]", values: "NDArray[float64]") -> None:
+        """Append many values of a quantity that is not held."""
+        self.times_ns.frombytes(times.tobytes())
+        self.values.frombytes(values.tobytes())
+
+    def replace(self, times: "NDArray[int64]", values: "NDArray[float64]") -> None:
+        """Replace all points by these, which represent them."""
+        self.omitted += max(0, len(self.times_ns) - len(times))
+        self.times_ns = array("q", times.tobytes())
+        self.values = array("d", values.tobytes())
 
     def sorted(self) -> "tuple[NDArray[int64], NDArray[float64]]":
         """Return times and values by time; equal times keep their order."""
@@ -71,16 +92,18 @@ class Steps:
     """A state over time: a number from each time on, in order of arrival.
 
     Attributes:
-        times_ns, codes: the times [ns] and the numbers.
+        times_ns, codes: the times [ns] and the numbers, of the first `STEPS_MAX` changes.
         last: the present number; None: unknown.
+        left_out: number of later changes.
     """
 
-    __slots__ = ("codes", "last", "times_ns")
+    __slots__ = ("codes", "last", "left_out", "times_ns")
 
     def __init__(self) -> None:
         self.times_ns: array[int] = array("q")
         self.codes: array[int] = array("q")
         self.last: int | None = None
+        self.left_out = 0
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -90,6 +113,9 @@ class Steps:
         if code == self.last:
             return False
         self.last = code
+        if len(self.codes) > STEPS_MAX:
+            self.left_out += 1
+            return True
         self.times_ns.append(time_ns)
         self.codes.append(code)
         return True
@@ -123,21 +149,142 @@ def extremes(
     return times[kept], values[kept]
 
 
-def cells(
-    times: "NDArray[int64]", keys: "NDArray[int64]", weights: "NDArray[int64]", width_ns: int
-) -> "tuple[NDArray[int64], NDArray[int64], NDArray[int64], NDArray[int64]]":
-    """Sum frames by time and identifier: (ends [ns], keys, weights, counts), by time.
+def remarkable(
+    times: "NDArray[int64]",
+    columns: "Sequence[NDArray[float64]]",
+    rates: "Sequence[NDArray[float64]]",
+    width_ns: int,
+) -> "NDArray[int64]":
+    """Return the places of the points that remain in a reduction to stretches of `width_ns`.
 
-    Shapes: (n,) each, times ascending. The end of a cell is that of its stretch of time.
+    In each stretch the first and the last point remain, and the lowest and the highest of each
+    column. A rate belongs to two points, its own and the next; of the extremes of `rates` both
+    remain.
+
+    Shapes: (n,) each, n > 0, times ascending.
     """
     import numpy as np
 
-    stretch = times // width_ns
-    codes = stretch * (1 << 16) + keys
-    found, place = np.unique(codes, return_inverse=True)
-    sums = np.bincount(place, weights=weights).astype(np.int64)
-    counts = np.bincount(place).astype(np.int64)
-    return ((found >> 16) + 1) * width_ns, found & 0xFFFF, sums, counts
+    group = times // width_ns
+    starts = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
+    sizes = np.diff(np.append(starts, len(times)))
+    kept = [starts, starts + sizes - 1]
+    for values in (*columns, *rates):
+        for extreme in (np.fmin, np.fmax):
+            places = np.flatnonzero(values == np.repeat(extreme.reduceat(values, starts), sizes))
+            first = places[np.flatnonzero(np.diff(group[places], prepend=group[0] - 1))]
+            kept.append(first)
+            if any(values is one for one in rates):
+                kept.append(np.minimum(first + 1, len(times) - 1))
+    return np.unique(np.concatenate(kept))
+
+
+def differences(times_ns: "NDArray[int64]", values: "NDArray[float64]") -> "NDArray[float64]":
+    """Return the rate [1/s] from each point to the next; 0 after the last one.
+
+    Two points at the same time are a step after a pause in the recording. The step took one
+    sampling period at most; the shortest distance between two points is used for it.
+    """
+    import numpy as np
+
+    if len(times_ns) < 2:
+        return np.zeros(len(times_ns))
+    steps = np.diff(times_ns)
+    positive = steps[steps > 0]
+    shortest = int(positive.min()) if len(positive) else 1
+    rates = np.diff(values) / (np.maximum(steps, shortest) / 1e9)
+    return np.append(rates, 0.0)
+
+
+def difference(one: Track, other: Track) -> "tuple[NDArray[int64], NDArray[float64]]":
+    """Return one minus the other at every time of either, from the first common time on."""
+    import numpy as np
+
+    (t1, v1), (t2, v2) = one.sorted(), other.sorted()
+    times = np.unique(np.concatenate((t1, t2)))
+    times = times[times >= max(t1[0], t2[0])]
+    return times, held_at(times, t1, v1) - held_at(times, t2, v2)
+
+
+def held_at(
+    times: "NDArray[int64]", changes: "NDArray[int64]", values: "NDArray[float64]"
+) -> "NDArray[float64]":
+    """Return the values of a held quantity at these times, from its first change on."""
+    import numpy as np
+
+    return values[np.searchsorted(changes, times, "right") - 1]
+
+
+def reduce_rows(tracks: "Iterable[Track]", rated: "Collection[Track]", width_ns: int) -> None:
+    """Reduce tracks to stretches of this duration; those with the same times keep the same ones.
+
+    Of the tracks in `rated` the largest and the smallest slope remain as well.
+    """
+    alike: dict[bytes, list[Track]] = {}
+    for track in tracks:
+        if len(track):
+            alike.setdefault(track.times_ns.tobytes(), []).append(track)
+    for group in alike.values():
+        times = group[0].sorted()[0]
+        columns = [track.sorted()[1] for track in group]
+        rates = [
+            differences(times, values)
+            for track, values in zip(group, columns, strict=True)
+            if track in rated
+        ]
+        kept = remarkable(times, columns, rates, width_ns)
+        for track, values in zip(group, columns, strict=True):
+            track.replace(times[kept], values[kept])
+
+
+def reduce_held(pair: "Sequence[Track]", width_ns: int) -> None:
+    """Reduce two held quantities, so that the extremes of their difference remain as well."""
+    import numpy as np
+
+    points = [track.sorted() for track in pair]
+    times = np.unique(np.concatenate([one[0] for one in points]))
+    columns = [held_at(np.maximum(times, one[0][0]), *one) for one in points]
+    kept = remarkable(times, (*columns, columns[0] - columns[1]), (), width_ns)
+    for track, (changes, _), values in zip(pair, points, columns, strict=True):
+        own = kept[times[kept] >= changes[0]]
+        track.replace(times[own], values[own])
+
+
+def cells(
+    times: "NDArray[int64]",
+    keys: "NDArray[int64]",
+    weights: "NDArray[int64]",
+    counts: "NDArray[int64]",
+    width_ns: int,
+) -> "tuple[NDArray[int64], NDArray[int64], NDArray[int64], NDArray[int64]]":
+    """Sum frames by time and identifier: (begins [ns], keys, weights, counts), by time.
+
+    The begin of a cell is that of its stretch of time.
+
+    Shapes: (n,) each.
+    """
+    import numpy as np
+
+    codes = times // width_ns * (1 << 16) + keys
+    order = np.argsort(codes, kind="stable")
+    codes = codes[order]
+    starts = np.flatnonzero(np.diff(codes, prepend=codes[:1] - 1))
+    found = codes[starts]
+    sums = np.add.reduceat(weights[order], starts)
+    return (found >> 16) * width_ns, found & 0xFFFF, sums, np.add.reduceat(counts[order], starts)
+
+
+def cell_width_ns(
+    times: "NDArray[int64]", keys: "NDArray[int64]", budget: int, width_ns: int = STRETCH_NS
+) -> int:
+    """Return the shortest width, from `width_ns` on, with at most `budget` cells [ns]."""
+    import numpy as np
+
+    while True:
+        codes = np.sort(times // width_ns * (1 << 16) + keys)
+        if np.count_nonzero(np.diff(codes)) < budget or width_ns > 1 << 60:
+            return width_ns
+        width_ns *= 2
 
 
 @final

@@ -6,13 +6,10 @@ from typing import Final, final
 from motorhil.harness.report.buses import nmt_text
 from motorhil.harness.report.collect import Findings
 from motorhil.harness.report.motors import Motor
-from motorhil.harness.report.series import Steps
+from motorhil.harness.report.series import STEPS_MAX, Steps
 from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, mode_text
 from motorhil.traces.schema import LockAction
 from motorhil.traces.semantics.ownership import Ended, LockEvent, ownership_of
-
-BARS_MAX: Final = 20_000
-"""Limit for one row; the remaining bars are counted as left out."""
 
 
 @final
@@ -101,6 +98,7 @@ def nmt_timeline(found: Findings, motors: list[Motor], end_ns: int) -> Timeline:
             bus, node, _ = place
             name = named.get(place) or found.names.nodes.get((bus, node)) or f"{bus} node {node}"
             steps = Steps()
+            steps.left_out = told.nmt.left_out
             for time_ns, code in zip(told.nmt.times_ns, told.nmt.codes, strict=True):
                 steps.add(time_ns, codes.index(code))
             line.rows.append(_row(name, steps, end_ns, f"{bus} node {node}"))
@@ -120,6 +118,7 @@ def mode_timeline(motors: list[Motor], end_ns: int) -> Timeline:
     )
     for name, modes in told:
         steps = Steps()
+        steps.left_out = modes.left_out
         for time_ns, code in zip(modes.times_ns, modes.codes, strict=True):
             steps.add(time_ns, codes.index(code))
         line.rows.append(_row(name, steps, end_ns, ""))
@@ -132,7 +131,7 @@ def _row(name: str, steps: Steps, end_ns: int, text: str) -> Row:
     bars = [
         Bar(time_ns, to_ns, code, text) for (time_ns, code), to_ns in zip(told, ends, strict=True)
     ]
-    return Row(name, bars[:BARS_MAX], max(0, len(bars) - BARS_MAX))
+    return Row(name, bars[:STEPS_MAX], max(0, len(bars) - STEPS_MAX) + steps.left_out)
 
 
 # -------------------------------------------------------------------------------------- locks
@@ -163,8 +162,8 @@ def lock_timeline(found: Findings, end_ns: int) -> Timeline:
             row.bars.append(Bar(one.from_ns, max(to_ns, one.from_ns), _word(words, who), text))
         row.bars += _waits(motor, by_motor[motor], words, end_ns)
         row.bars.sort(key=lambda bar: (bar.from_ns, bar.waits))
-        row.left_out = max(0, len(row.bars) - BARS_MAX)
-        del row.bars[BARS_MAX:]
+        row.left_out = max(0, len(row.bars) - STEPS_MAX)
+        del row.bars[STEPS_MAX:]
         line.rows.append(row)
     line.tones = [""] * len(words)
     return line

@@ -37,6 +37,7 @@ _END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns
 _STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
 _POLLS_MAX: Final = 1_000_000
 _SIGNAL_TURNS: Final = 256  # compiled code must check for signals now and then
+_TURNS_MAX: Final = 1 << 18  # at one instant, without polls
 GRACE_S: Final = 1.0  # wall time for a party to reach its next wait, or to end
 
 
@@ -154,6 +155,7 @@ class VirtualRuntime:
         self._in_callback = self._pumping = False
         self._closing = self._interrupted = False
         self._polls = self._turns = 0
+        self._instant_ns = self._turns_before = 0  # as seen at the last check for signals
         self.on_poll: Callable[[], None] | None = None  # called before polls
         self.whereabouts: Callable[[VirtualParty], str] = attrgetter("name")
 
@@ -402,6 +404,10 @@ class VirtualRuntime:
             self._turns += 1
             if self._turns % _SIGNAL_TURNS == 0:
                 threading.current_thread()  # interpreted code: signal handlers run there
+                if queue.now_ns != self._instant_ns:
+                    self._instant_ns, self._turns_before = queue.now_ns, self._turns
+                elif self._turns - self._turns_before > _TURNS_MAX + self._polls:
+                    self._end_chain()
             if self._interrupted:
                 self._interrupted = False
                 for waiter in self._waiters:
@@ -463,6 +469,22 @@ class VirtualRuntime:
                 f"wait: {why} (waiting: {names}); give the wait a timeout"
             )
 
+    def _end_chain(self) -> None:
+        """End all waits, since events or parties follow one another while no time passes."""
+        queue = self.queue
+        now_ns, self._turns_before = queue.now_ns, self._turns
+        first = queue.first if queue.next_ns() == now_ns else None
+        if first is None:
+            what = "parties " + ", ".join(self.whereabouts(one.party) for one in self._waiters)
+        else:
+            what = f"callback {_name_of(first.action)}"
+        for waiter in self._waiters:
+            waiter.done = _at_once
+            waiter.error = UsageError(
+                f"{what}: {_TURNS_MAX} turns at t = {now_ns / 1e9} s, and no time passes; expected "
+                "an end of the chain; let a delay pass before the next call"
+            )
+
     def _leave(self, party: VirtualParty) -> None:
         """Pass the baton on to the next party; run events until there is one."""
         try:
@@ -472,6 +494,12 @@ class VirtualRuntime:
             waiter = self._waiters.pop(0)
             waiter.error = error
             waiter.party.baton.release()
+
+
+def _name_of(action: Callable[[int], None]) -> str:
+    """Return the name of a function or method, with its module."""
+    names = [getattr(action, name, "") for name in ("__module__", "__qualname__")]
+    return ".".join([name for name in names if name]) or repr(action)
 
 
 def _at_once() -> bool:

@@ -36,7 +36,7 @@ All times are integer nanoseconds, rounded up. A frame has the maximum number of
 3 bits of intermission in which no frame may begin.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from itertools import islice
@@ -54,7 +54,31 @@ from motorhil.motorapi.synchronization.can_frame_length import (
 RECOVERY_BITS: Final = 31
 _ROUNDS_MAX: Final = 100_000
 _INSTANCES_MAX: Final = 20_000
-_WORK_MAX: Final = 10_000_000  # competing messages looked at for one bus: some seconds
+STEPS_MAX: Final = 4_000_000
+
+
+@final
+class Effort:
+    """The steps that an analysis may still take, about a million in a second.
+
+    A step looks at one competing message. Jitters and periods that no message has, as in a damaged
+    recording, would take for ever. What is not computed in time has no known bound.
+
+    Attributes:
+        left: the remaining steps; 0 or less: the analysis was ended.
+    """
+
+    def __init__(self, steps: int = STEPS_MAX) -> None:
+        self.left = steps
+
+    def allows(self, steps: int) -> bool:
+        """Take some steps; return False if the analysis is to end."""
+        self.left -= steps
+        return self.left > 0
+
+    def is_over(self) -> bool:
+        """Return True if the analysis was ended, and a result was not computed."""
+        return self.left <= 0
 
 
 class Arrival(Enum):
@@ -241,17 +265,43 @@ class Response:
         return self.response_ns is not None and self.response_ns <= self.message.deadline_ns
 
 
-def response_times(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> tuple[Response, ...]:
+def response_times(
+    load: BusLoad, errors: ErrorModel = NO_ERRORS, effort: Effort | None = None
+) -> tuple[Response, ...]:
     """Return the worst case of every message, the most urgent first."""
-    levels = _levels(load, errors)
+    levels = _levels(load, errors, effort)
     return tuple(levels.response(flow) for flow in levels.flows)
 
 
-def are_in_time(load: BusLoad, errors: ErrorModel = NO_ERRORS) -> bool:
-    """Return True if every message with a deadline meets it."""
-    levels = _levels(load, errors)
-    timed = [flow for flow in levels.flows if flow.message.deadline_ns is not None]
-    return all(levels.response(flow).is_in_time for flow in reversed(timed))
+def are_in_time(
+    load: BusLoad,
+    errors: ErrorModel = NO_ERRORS,
+    effort: Effort | None = None,
+    doubtful: Collection[int] = (),
+) -> bool:
+    """Return True if every message with a deadline is known to meet it.
+
+    Args:
+        load: the messages.
+        errors: the error model.
+        effort: the steps that it may take; None: `STEPS_MAX`.
+        doubtful: ranks of messages to examine first, since they are likely to be late.
+    """
+    levels = _levels(load, errors, effort, settled=False)
+    timed = [flow for flow in reversed(levels.flows) if flow.message.deadline_ns is not None]
+    timed.sort(key=lambda flow: flow.rank not in doubtful)
+
+    def are_on_time(flows: list[Flow]) -> bool:
+        return all(levels.response(flow).is_in_time for flow in flows)
+
+    # Shared queues only add to these times: a message that is late before all is settled stays so.
+    if levels.has_queues and not are_on_time(timed):
+        return False
+    doubted = [flow for flow in timed if flow.rank in doubtful]
+    while levels.settle_further():
+        if not are_on_time(doubted):
+            return False
+    return are_on_time(timed)
 
 
 def response_between(
@@ -260,6 +310,7 @@ def response_between(
     message: Message,
     lower: Iterable[Message],
     errors: ErrorModel = NO_ERRORS,
+    effort: Effort | None = None,
 ) -> Response:
     """Return the worst case of one message between these others, without FIFO queues.
 
@@ -269,22 +320,27 @@ def response_between(
         message: the message itself.
         lower: the less urgent messages.
         errors: the error model.
+        effort: the steps that it may take; None: `STEPS_MAX`.
     """
     flows = [Flow(one, 0, load.takes_ns(one)) for one in higher]
     flows.append(own := Flow(message, 1, load.takes_ns(message)))
     flows += [Flow(one, 2, load.takes_ns(one)) for one in lower]
-    return _Levels(flows, [], errors, load).response(own)
+    return _Levels(flows, [], errors, load, effort).response(own)
 
 
-def _levels(load: BusLoad, errors: ErrorModel) -> "_Levels":
+def _levels(
+    load: BusLoad, errors: ErrorModel, effort: Effort | None, *, settled: bool = True
+) -> "_Levels":
     flows = sorted((Flow.of(load, message) for message in load.messages), key=lambda f: f.rank)
     queues: dict[str, list[Flow]] = {}
     for flow in flows:
         sender = flow.message.sender
         if sender and sender in load.fifo:
             queues.setdefault(sender, []).append(flow)
-    levels = _Levels(flows, [queue for queue in queues.values() if len(queue) > 1], errors, load)
-    levels.settle()
+    shared = [queue for queue in queues.values() if len(queue) > 1]
+    levels = _Levels(flows, shared, errors, load, effort)
+    if settled:
+        levels.settle()
     return levels
 
 
@@ -352,47 +408,48 @@ class _Levels:
         shared: list[list[Flow]],
         errors: ErrorModel,
         load: BusLoad,
+        effort: Effort | None,
     ) -> None:
+        self.effort: Final = Effort() if effort is None else effort
         self.flows: Final = flows
+        self.has_queues: Final = bool(shared)
+        self.has_intervals: Final = errors.interval_ns is not None
         self._shared = {id(flow): queue for queue in shared for flow in queue}
+        self._known: dict[int, _Level] = {}  # by the identity of a queue's last message
         self.bit_ns: Final = bits_ns(1, load.bitrate_bit_s)
         self._errors = errors
         self._recovery_ns = bits_ns(RECOVERY_BITS, load.bitrate_bit_s)
         self._late_max_ns = max((flow.message.period_ns for flow in flows), default=0)
         self._gap_ns = INTERMISSION_BITS * 1_000_000_000 // load.bitrate_bit_s
-        self._work_left = _WORK_MAX
-
-    def works_on(self, count: int) -> bool:
-        """Return whether `count` more competing messages may be looked at.
-
-        Jitters and periods that nobody has, as in a damaged recording, would take for ever. What is
-        not computed has no known bound.
-        """
-        self._work_left -= count
-        return self._work_left > 0
 
     def settle(self) -> None:
         """Compute the lateness of every shared queue, to a fixed point."""
-        waiting = [flow for flow in self.flows if id(flow) in self._shared]
-        changed = bool(waiting)
-        while changed:
-            changed = False
-            for flow in waiting:
-                if flow.late_ns is None:
-                    continue
+        while self.settle_further():
+            pass
+
+    def settle_further(self) -> bool:
+        """Compute the lateness of every shared queue once; return True if one has changed."""
+        changed = False
+        for flow in self.flows if self._shared else ():
+            if id(flow) not in self._shared or flow.late_ns is None:
+                continue
+            if self.effort.is_over() or self._level(flow).has_changed_for(flow):
                 late_ns = self._lateness_ns(flow)
                 if late_ns != flow.late_ns:
                     flow.late_ns = late_ns
                     changed = True
+        return changed
 
     def response(self, flow: Flow) -> Response:
-        """Return the worst case of one message."""
-        level = _Level(self, flow)
+        """Return the worst case of one message; without a bound if the effort is over."""
+        if self.effort.is_over():
+            return Response(flow.message, flow.takes_ns, None, None, 0, None, 0)
+        level = self._level(flow)
         busy_ns = level.busy_ns()
         worst_ns: int | None = None
         instance = 0
         if busy_ns is not None:
-            for number, (at_ns, waited_ns) in enumerate(level.instances(busy_ns)):
+            for number, (at_ns, waited_ns) in enumerate(level.instances(flow, busy_ns)):
                 if waited_ns is None:
                     worst_ns = None
                     break
@@ -412,20 +469,30 @@ class _Levels:
         )
 
     def _lateness_ns(self, flow: Flow) -> int | None:
-        level = _Level(self, flow)
+        if self.effort.is_over():
+            return None
+        level = self._level(flow)
         busy_ns = level.busy_ns()
         if busy_ns is None:
             return None
         late_ns = 0
-        for at_ns, waited_ns in level.instances(busy_ns, alone=False):
+        for at_ns, waited_ns in level.instances(flow, busy_ns, alone=False):
             if waited_ns is None or waited_ns - at_ns > self._late_max_ns:
                 return None
             late_ns = max(late_ns, waited_ns - at_ns)
         return late_ns
 
-    def queue_of(self, flow: Flow) -> list[Flow]:
-        """Return the messages in the same queue as this one, or itself alone."""
-        return self._shared.get(id(flow), [flow])
+    def _level(self, flow: Flow) -> "_Level":
+        """Return the level of this message, which it shares with its queue, as it is now."""
+        queue = self._shared.get(id(flow))
+        if queue is None:  # used once or twice only, and one each would be much
+            return _Level(self, [flow])
+        level = self._known.get(id(queue[-1]))
+        if level is None:
+            level = self._known[id(queue[-1])] = _Level(self, queue)
+        else:
+            level.renew()
+        return level
 
     def errors_ns(self, window_ns: int, longest_ns: int) -> int:
         """Return the cost of errors in a window, where retransmissions take `longest_ns` [ns]."""
@@ -439,31 +506,60 @@ class _Levels:
 
 @final
 class _Level:
-    """Everything that one message waits for."""
+    """Everything that the messages of one queue wait for.
 
-    def __init__(self, levels: _Levels, flow: Flow) -> None:
+    Waiting times are kept, since messages of a queue often have the same work before them, until a
+    competing message is later than before.
+    """
+
+    def __init__(self, levels: _Levels, queue: list[Flow]) -> None:
         self._levels = levels
-        self._flow = flow
-        self._queue = levels.queue_of(flow)
-        mates = {id(one) for one in self._queue}
-        last = self._queue[-1].rank
+        self._queue = queue
+        levels.effort.allows(len(levels.flows))
+        mates = {id(one) for one in queue}
+        last = queue[-1].rank
         others = [one for one in levels.flows if id(one) not in mates]
         self._higher = [one for one in others if one.rank < last]
         self._terms = [one.term() for one in self._higher]
         self.blocking_ns = max((one.takes_ns for one in others if one.rank > last), default=0)
-        self._longest_ns = max(one.takes_ns for one in (*self._queue, *self._higher))
+        self._longest_ns = max(one.takes_ns for one in (*queue, *self._higher))
+        self._busy_ns: int | None = None
+        self._waits: dict[tuple[int, int], int | None] = {}
+        self._queued_ns: dict[int, int] = {}  # the work of the queue, by time
+        self._done: set[int] = set()  # identities of messages whose lateness is up to date
+
+    def renew(self) -> None:
+        """Forget the times if a competing message has become later."""
+        terms = [one.term() for one in self._higher]
+        if terms != self._terms:
+            self._terms = terms
+            self._busy_ns = None
+            self._waits.clear()
+            self._done.clear()
+
+    def has_changed_for(self, flow: Flow) -> bool:
+        """Return True at the first call for a message since the times changed."""
+        if id(flow) in self._done:
+            return False
+        self._done.add(id(flow))
+        return True
 
     def busy_ns(self) -> int | None:
         """Return the longest busy period of this level [ns]; None: no bound is known."""
+        if self._levels.effort.is_over() or any(one.late_ns is None for one in self._higher):
+            return None
+        if self._busy_ns is None:
+            self._busy_ns = self._longest_busy_ns()
+        return self._busy_ns
+
+    def _longest_busy_ns(self) -> int | None:
         level = (*self._queue, *self._higher)
         share = sum(one.takes_ns / one.message.period_ns for one in level)
         if share + self._levels.errors_share(self._longest_ns) >= 1.0:
             return None
-        if any(one.late_ns is None for one in self._higher):
-            return None
-        busy_ns = self._flow.takes_ns
+        busy_ns = sum(one.takes_ns for one in self._queue)  # each is queued once at least
         for _ in range(_ROUNDS_MAX):
-            if not self._levels.works_on(len(level)):
+            if not self._levels.effort.allows(len(level)):
                 return None
             again_ns = self._levels.errors_ns(busy_ns, self._longest_ns) + self.blocking_ns
             again_ns += self._competing_ns(busy_ns)
@@ -473,12 +569,13 @@ class _Level:
             busy_ns = again_ns
         return None
 
-    def instances(self, busy_ns: int, *, alone: bool = True) -> Iterator[tuple[int, int | None]]:
+    def instances(
+        self, flow: Flow, busy_ns: int, *, alone: bool = True
+    ) -> Iterator[tuple[int, int | None]]:
         """Yield (latest queueing time, start time) of each frame that may be the worst [ns].
 
         `alone` False: only frames that have others of their queue before them.
         """
-        flow = self._flow
         jitter_ns = flow.message.jitter_ns if flow.message.arrival is Arrival.PERIODIC else 0
         until_ns = busy_ns + jitter_ns
         moments: set[int] = set()
@@ -489,19 +586,27 @@ class _Level:
                 yield 0, None
                 return
         waited_ns: int | None = 0
+        if not self._levels.effort.allows(len(moments)):
+            yield 0, None
+            return
         for at_ns in sorted(moments):
-            before_ns = (flow.queued_itself(at_ns) - 1) * flow.takes_ns
-            before_ns += sum(
-                one.queued_by(min(at_ns, busy_ns)) * one.takes_ns
-                for one in self._queue
-                if one is not flow
-            )
+            until_ns = min(at_ns, busy_ns)
+            others_ns = self._work_ns(until_ns) - flow.queued_by(until_ns) * flow.takes_ns
+            before_ns = others_ns + (flow.queued_itself(at_ns) - 1) * flow.takes_ns
             assert waited_ns is not None
-            waited_ns = self._waited_ns(before_ns, waited_ns)
+            waited_ns = self._waited_ns(flow.takes_ns, before_ns, waited_ns)
             if alone or before_ns:
                 yield at_ns, waited_ns
             if waited_ns is None:
                 return
+
+    def _work_ns(self, at_ns: int) -> int:
+        """Return the duration of all messages of the queue that are queued from 0 to `at_ns`."""
+        found = self._queued_ns.get(at_ns)
+        if found is None:
+            found = sum(one.queued_by(at_ns) * one.takes_ns for one in self._queue)
+            self._queued_ns[at_ns] = found
+        return found
 
     def _competing_ns(self, window_ns: int) -> int:
         """Return the duration of more urgent frames that start to compete in a half-open window."""
@@ -515,15 +620,24 @@ class _Level:
             total_ns += count * takes_ns
         return total_ns
 
-    def _waited_ns(self, before_ns: int, least_ns: int) -> int | None:
-        """Return the start time after `before_ns` of its queue, `least_ns` or later; or None."""
+    def _waited_ns(self, takes_ns: int, before_ns: int, least_ns: int) -> int | None:
+        """Return the start time of a frame after `before_ns` of its queue; None: no bound.
+
+        It is known not to be before `least_ns`.
+        """
+        key = (takes_ns if self._levels.has_intervals else 0, before_ns)
+        if key not in self._waits:
+            self._waits[key] = self._first_start_ns(takes_ns, before_ns, least_ns)
+        return self._waits[key]
+
+    def _first_start_ns(self, takes_ns: int, before_ns: int, least_ns: int) -> int | None:
         fixed_ns = self.blocking_ns + before_ns
         waited_ns = max(least_ns, fixed_ns)
         for _ in range(_ROUNDS_MAX):
-            if not self._levels.works_on(len(self._terms) + 1):
+            if not self._levels.effort.allows(len(self._terms) + 1):
                 return None
             again_ns = fixed_ns
-            again_ns += self._levels.errors_ns(waited_ns + self._flow.takes_ns, self._longest_ns)
+            again_ns += self._levels.errors_ns(waited_ns + takes_ns, self._longest_ns)
             again_ns += self._competing_ns(waited_ns + self._levels.bit_ns)
             if again_ns <= waited_ns:
                 return waited_ns

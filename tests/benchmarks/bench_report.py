@@ -41,7 +41,13 @@ def run():
         yield "page of 1e6 frames, CPU a frame", made_s / FRAMES * 1e6, "us"
         yield "  as a multiple of mcap's reader reading them", made_s / peer_s, "x"
         yield "  its size", page.stat().st_size / 1e6, "MB"
-        yield "  the recording's", recording.stat().st_size / 1e6, "MB"
+        size = recording.stat().st_size / 1e6
+        yield "  the recording's", size, "MB"
+        yield "page, CPU a MB of the recording", made_s / size, "s"
+        for verb, words in (("judge", []), ("convert", ["-o", str(Path(folder) / "a.blf")])):
+            begun_s = time.process_time()
+            main([verb, str(recording), *words])
+            yield f"{verb}, CPU a MB of the recording", (time.process_time() - begun_s) / size, "s"
         if chromium() is not None:
             yield from opened(Path(folder), page)
 

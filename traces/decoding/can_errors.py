@@ -18,6 +18,7 @@ _BUS_ERROR: Final = 0x080
 _RESTARTED: Final = 0x100
 _COUNTERS: Final = 0x200
 _KNOWN: Final = 0x3FF
+_UNACKNOWLEDGED: Final = "no acknowledgement"
 
 _TRANSMITTING: Final = 0x80
 _VIOLATIONS: Final = (  # data[2]
@@ -99,6 +100,11 @@ class BusError(NamedTuple):
         return ", ".join(parts)
 
     @property
+    def is_unacknowledged(self) -> bool:
+        """True if no node acknowledged a frame."""
+        return _UNACKNOWLEDGED in self.what
+
+    @property
     def counted(self) -> str:
         """The counters in words, with a leading blank; empty if not reported."""
         return "" if self.counters is None else " (TEC {}, REC {})".format(*self.counters)
@@ -114,7 +120,7 @@ def bus_error(frame: bytes) -> BusError:
     elif classes & _BUS_ERROR:
         what.append("bus error")
     if classes & _NO_ACKNOWLEDGE:
-        what.append("no acknowledgement")
+        what.append(_UNACKNOWLEDGED)
     if classes & _ARBITRATION:
         bit = f" in bit {data[0]}" if data[0] else ""
         what.append(f"arbitration lost{bit}")

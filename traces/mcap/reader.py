@@ -191,8 +191,12 @@ class Trace:
             TraceError: a chunk is damaged. The messages before it are good.
         """
         self.salvaged = 0
+        all_ = topics is None and from_ns is None and to_ns is None
         for chunk in self._chunks:
             if _is_outside(chunk, from_ns, to_ns):
+                continue
+            if all_ and chunk.whole:
+                yield from self._in_chunk(chunk)
                 continue
             for message in self._in_chunk(chunk):
                 if not chunk.whole:

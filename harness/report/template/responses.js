@@ -38,7 +38,7 @@ function responsesOf(holder, bus) {
   if (bus.why) make("div", holder, `${bus.bus}: ${bus.why}`, "missing");
   if (bus.messages.length) {
     const scale = new TimeScale(bus.messages.flatMap((one) => [one.least_s, one.most_s, one.bound_s || one.least_s, one.deadline_s || one.least_s]));
-    const body = make("tbody", make("table", holder)), head_ = make("tr", body);
+    const body = make("tbody", make("table", make("div", holder, "", "wide"))), head_ = make("tr", body);
     for (const name of ["message", "what", "sender", "bytes", "period"]) make("th", head_, name).scope = "col";
     scaleHead(make("th", head_, "", "chart"), scale);
     for (const name of ["recorded", "by theory", "deadline"]) make("th", head_, name).scope = "col";

@@ -238,7 +238,7 @@ def test_quantities_and_motors_can_be_filtered(opened):
     assert opened.run("document.querySelectorAll('.motor:not([hidden])').length") == 6
 
 
-@pytest.mark.parametrize("width", [1800, 1000, 420])
+@pytest.mark.parametrize("width", [1800, 1000, 420, 320])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_page_fits_the_window_in_light_and_dark(opened, width, scheme):
     opened.media(prefers_color_scheme=scheme)

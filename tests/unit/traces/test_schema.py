@@ -1,15 +1,26 @@
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+import struct
 
-from motorhil.traces.protobuf import file_descriptor_set
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motorhil.traces.protobuf import decode, file_descriptor_set
 from motorhil.traces.schema import (
     CAN_FRAME,
     JOINT_STATE,
     LOG,
     MOTOR_LOCK,
     Direction,
+    DoublesDecoder,
+    FrameDecoder,
+    JointStateEncoder,
     Level,
     LockAction,
     Schema,
+    TruthDecoder,
+    TruthEncoder,
+    encode_can_frame,
     truth_message,
 )
 from tests.support.recordings.protobuf_classes import google_class
@@ -112,3 +123,55 @@ def test_truth_message_renames_invalid_keys_uniquely():
 def test_schema_names_its_encoding():
     schema = Schema.of(LOG)
     assert (schema.name, schema.encoding) == ("foxglove.Log", "protobuf")
+
+
+def test_frame_decoder_tells_senders_of_one_identifier_apart():
+    """Node 1 of two buses has other names; their messages begin with the same identifier."""
+    decoder = FrameDecoder()
+    data = struct.pack("<IB3x8s", 0x181, 8, bytes(range(8)))
+    for _ in range(2):
+        for sender in ("left", "rear", *(f"n{number:03}" for number in range(40))):
+            payload = encode_can_frame(data, sender, Direction.RECEIVED)
+            assert decoder.decode(payload) == (data, Direction.RECEIVED, sender)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(("", "wheel", "x" * 9)),
+            st.lists(st.floats(allow_nan=False) | st.none(), min_size=3, max_size=3),
+        ),
+        max_size=30,
+    )
+)
+def test_cached_doubles_equal_the_table(told):
+    """Messages with any joint's name, and with any of the quantities, in one channel."""
+    decoder = DoublesDecoder(JOINT_STATE)
+    for name, values in told:
+        payload = JointStateEncoder(name).encode(*values) if name else b""
+        expected = decode(JOINT_STATE, payload)
+        expected.pop("name", None)
+        assert decoder.decode(payload) == expected
+
+
+@pytest.mark.parametrize("tail", [b"\x09", b"\x0a\x01a", b"\x09" + bytes(7), b"\x11" + bytes(9)])
+def test_changed_payload_of_known_size_is_decoded_anew(tail):
+    decoder = DoublesDecoder(JOINT_STATE)
+    good = JointStateEncoder("m").encode(1.0, 2.0, 3.0)
+    assert decoder.decode(good) == {"position": 1.0, "velocity": 2.0, "effort": 3.0}
+    payload = good[: len(good) - len(tail)] + tail
+    try:
+        expected = {k: v for k, v in decode(JOINT_STATE, payload).items() if k != "name"}
+    except ValueError:
+        with pytest.raises(ValueError, match=r"byte|ends|bytes"):
+            decoder.decode(payload)
+    else:
+        assert decoder.decode(payload) == expected
+
+
+def test_truth_without_a_field_reads_as_zero():
+    """In protobuf an absent number is 0."""
+    decoder = TruthDecoder(truth_message("toy", ("a", "b")))
+    assert decoder.decode(b"\x11" + struct.pack("<d", 2.5)) == {"a": 0.0, "b": 2.5}
+    both = TruthEncoder(truth_message("toy", ("a", "b"))).encode((1.5, 2.5))
+    assert decoder.decode(both) == {"a": 1.5, "b": 2.5}

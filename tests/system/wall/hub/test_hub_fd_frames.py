@@ -62,7 +62,7 @@ class TestOverAHub(FdFrames):
 
     def test_recording_and_replaying_a_hub_keeps_all_fd_frames(self, bench):
         place = parse_place(bench.channel)
-        tap, sink = HubTap(place, HubClocks([place])), HubSink(place)
+        tap, sink = HubTap(place, HubClocks([place])), HubSink(place, print)
         sent = pack_fd(0x123, bytes(64))
         with contextlib.closing(tap), contextlib.closing(sink):
             assert sink.carries_fd
@@ -79,7 +79,7 @@ def test_fd_recording_for_a_classical_bus_is_refused(tmp_path):
         with bench.open() as bus, bench.open() as other:
             bus.send(classical(0x123))
             assert other.recv(30.0).arbitration_id == 0x123
-        with contextlib.closing(HubSink(parse_place(bench.channel))) as sink:
+        with contextlib.closing(HubSink(parse_place(bench.channel), print)) as sink:
             assert not sink.carries_fd
     finally:
         bench.close()

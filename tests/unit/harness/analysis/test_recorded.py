@@ -10,8 +10,8 @@ from tests.support.recordings.message_sets import MS, US
 
 def _heard(times_ns: list[int]) -> Heard:
     heard = Heard(0x181, False)
-    for time_ns in times_ns:
-        heard.add(time_ns, 5, "left")
+    heard.add_kind(5, "left", False, False)
+    heard.times_ns.extend(times_ns)
     return heard
 
 

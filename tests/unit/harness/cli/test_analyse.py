@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,16 @@ import pytest
 
 from motorhil import harness
 from motorhil.emulators.can.frame import pack
+from motorhil.harness.analysis.advice import more_errors_probability, propose
+from motorhil.harness.analysis.subject import reserves_nothing
 from motorhil.harness.cli.main import main
+from motorhil.motorapi.synchronization.can_response_time import (
+    NO_ERRORS,
+    BusLoad,
+    Effort,
+    Message,
+    response_times,
+)
 from motorhil.traces.can_frame import BRS, flexible
 from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import record_frames
@@ -415,3 +425,70 @@ def test_rig_without_can_bus_is_reported(tmp_path, capsys):
     path.write_text('[bus.line]\nkind = "modbus_rtu"\n')
     assert main(["analyse", str(path)]) == 3
     assert capsys.readouterr().out == f"{path}: no CAN bus\n"
+
+
+# ------------------------------------------------- recordings with absurd stamps end in time
+
+
+def test_absurd_stamps_end_with_a_note(tmp_path, capsys):
+    """Each part of the analysis has a limit of steps; every fourth stamp is damaged."""
+    draw = random.Random(3)
+    rows = []
+    for n in range(3_000):
+        at_ns = n * 100_000 if n % 4 else draw.randrange(10 ** draw.randrange(1, 19))
+        rows.append(f"({at_ns // 10**9}.{at_ns % 10**9:09d}) can0 {draw.randrange(300):03X}#00\n")
+    log = tmp_path / "damaged.log"
+    log.write_text("".join(rows))
+    status, told = as_json(capsys, str(log), "--bitrate", "can0=500k")
+    (bus,) = told["buses"]
+    assert status in (1, 3)
+    (note,) = [note for note in bus["notes"] if "ended early" in note]
+    assert "(steps): response times (1,000,000)" in note
+
+
+def test_effort_ends_an_analysis_without_false_bounds():
+    """Whatever the limit, a bound that is found is the one of an unlimited analysis."""
+    messages = tuple(
+        Message(
+            identifier, 8, 40 * MS + identifier, irregular_ns=3 * MS, sender=f"n{identifier % 4}"
+        )
+        for identifier in range(1, 33)
+    )
+    load = BusLoad("can0", 500_000, messages, fifo=frozenset(("n0", "n1", "n2")))
+    whole = response_times(load)
+    for steps in (1, 100, 3_000, 30_000, 300_000):
+        effort = Effort(steps)
+        found = response_times(load, effort=effort)
+        assert effort.left > -2_000  # no single step is long
+        assert [one.message for one in found] == [one.message for one in whole]
+        unknown = [one for one in found if one.response_ns is None]
+        assert bool(unknown) == effort.is_over()
+        for one, other in zip(found, whole, strict=True):
+            assert one.response_ns in (None, other.response_ns)
+
+
+def test_search_ended_early_proves_nothing():
+    """That no order of identifiers helps must not be claimed without having seen it."""
+    messages = tuple(Message(n, 8, 3 * MS, deadline_ns=1 * MS + n) for n in range(1, 11))
+    load = BusLoad("can0", 500_000, messages)
+    assert propose(load, NO_ERRORS, reserves_nothing).is_impossible
+    proposal = propose(load, NO_ERRORS, reserves_nothing, Effort(50))
+    assert (proposal.changes, proposal.is_impossible) == (None, False)
+    assert proposal.reason.startswith("the search was ended")
+
+
+def test_stamps_beyond_64_bits_with_sign_are_left_out(tmp_path, capsys):
+    """MCAP has unsigned times; they were an unhandled OverflowError."""
+    frames = [Frame(n * 10 * MS, "can0", pack(0x181, bytes(4))) for n in range(20)]
+    frames.append(Frame(2**63, "can0", pack(0x181, bytes(4))))
+    path = tmp_path / "late.mcap"
+    record_frames(path, frames, {})
+    assert main(["analyse", str(path), "--bitrate", "can0=500k"]) == 0
+    out = capsys.readouterr().out
+    assert "1 frames have time stamps beyond the year 2262, and are not counted" in out
+    assert "10.000" in out
+
+
+@pytest.mark.parametrize("bits", [10**7, 10**18])
+def test_probability_of_errors_in_a_long_window_ends(bits):
+    assert more_errors_probability(99, bits, 0.01) == 1.0

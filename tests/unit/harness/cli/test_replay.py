@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from motorhil.harness.cli.main import main
 from tests.support.golden import FOLDER
 from tests.support.recordings.altered import copied
 
@@ -293,3 +294,20 @@ def test_as_host_counts_unsendable_frames(folder, say):
     copied(folder / "bench.mcap", folder / "fd.mcap", change)
     _, _, err = say("replay", "fd.mcap", "--as", "host")
     assert "fd.mcap: 1 frames of the host cannot be sent on a classical bus" in err
+
+
+def test_missing_acknowledgement_is_told_at_once(tmp_path, capsys):
+    """A bus without another node: the note comes before the end of the attempt."""
+    (tmp_path / "alone.toml").write_text(
+        '[rig]\nname = "alone"\n[bus.can0]\nbitrate_bit_s = 500_000\n'
+    )
+    rows = [f"({at_s:.6f}) can0 123#0102\n" for at_s in (0.0, 0.1, 5.0)]
+    (tmp_path / "a.log").write_text("".join(rows))
+    told = str(tmp_path / "a.mcap")
+    assert main(["convert", str(tmp_path / "a.log"), "-o", told]) == 0
+    capsys.readouterr()
+    words = ["replay", told, "--as", "traffic", "--rig", str(tmp_path / "alone.toml")]
+    assert main(words) == 1
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("motorhil replay: can0: error passive by sending; frames need another")
+    assert "can0: has taken no frame for 2 s" in last

@@ -1,6 +1,7 @@
 """Reports of all kinds of recordings: imported, truncated, empty, without times, in wall time."""
 
 import struct
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,8 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motorhil.harness.cli.main import main
-from motorhil.harness.report.series import cells, extremes
+from motorhil.harness.report.collect import collect
+from motorhil.harness.report.document import document_of
+from motorhil.harness.report.series import (
+    Track,
+    cells,
+    difference,
+    extremes,
+    reduce_held,
+    reduce_rows,
+    remarkable,
+)
 from motorhil.traces.can_frame import BRS, flexible
+from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import (
     CAN_FRAME,
@@ -387,6 +399,7 @@ def test_extremes_keep_first_last_lowest_and_highest(series, points):
 def test_cells_keep_the_sums(told, width_ns):
     told.sort()
     columns = [np.array([one[n] for one in told], dtype=np.int64) for n in range(3)]
+    columns.append(np.ones(len(told), dtype=np.int64))
     ends, keys, weights, counts = (one.tolist() for one in cells(*columns, width_ns))
     assert ends == sorted(ends)
     assert sum(counts) == len(told)
@@ -408,3 +421,172 @@ def test_reduction_beyond_the_budget_is_noted(demo, report_of):
         assert sum(arrays.whole(traffic["count"])) == traffic["frames"]
     _, whole, _ = report_of(demo)
     assert [m["summary"] for m in document["motors"]] == [m["summary"] for m in whole["motors"]]
+
+
+@given(SERIES, st.integers(0, 8), st.booleans())
+def test_remarkable_points_keep_all_extremes(series, power, twice):
+    """A second reduction, to stretches of double duration, loses none of them either."""
+    series.sort(key=lambda one: one[0])
+    track = track_of(series)
+    for width in (1 << power, 2 << power) if twice else (2 << power,):
+        reduce_rows([track], (), width)
+    kept = list(zip(track.times_ns, track.values, strict=True))
+    assert len(kept) + track.omitted == len(series)
+    stretches = {}
+    for at, value in series:
+        stretches.setdefault(at >> (power + 1), []).append((at, value))
+    for own in stretches.values():
+        inside = [one for one in kept if own[0][0] <= one[0] <= own[-1][0]]
+        assert len(inside) <= 8
+        assert min(v for _, v in own) == min(v for _, v in inside)
+        assert max(v for _, v in own) == max(v for _, v in inside)
+        assert own[0] in inside
+        assert own[-1] in inside
+
+
+def track_of(series, held=False):
+    track = Track(held)
+    for at, value in series:
+        track.add(at, value)
+    return track
+
+
+@given(SERIES, SERIES, st.integers(4, 14))
+def test_reduced_pair_invents_no_difference(one, other, power):
+    """Demand and actual position in different PDOs: the following error is their difference."""
+    pair = []
+    for series in (one, other):
+        series.sort(key=lambda point: point[0])
+        pair.append(track_of(series, held=True))
+    whole = dict(zip(*(each.tolist() for each in difference(*pair)), strict=True))
+    reduce_held(pair, 1 << power)
+    times, values = difference(*pair)
+    assert set(zip(times.tolist(), values.tolist(), strict=True)) <= set(whole.items())
+    assert max(values) == max(whole.values())
+    assert min(values) == min(whole.values())
+
+
+def test_largest_slope_remains_with_both_its_points():
+    times = np.arange(100, dtype=np.int64)
+    values = np.arange(100.0)
+    values[41:] += 5.0
+    rates = np.append(np.diff(values), 0.0)
+    kept = remarkable(times, [values], [rates], 1_000).tolist()
+    assert kept == [0, 40, 41, 99]
+
+
+def test_long_recording_is_kept_in_bounds(demo):
+    """The limits apply while the recording is read: here they are those of a short one."""
+    with read_trace(demo) as trace:
+        whole, found = collect(trace), collect(trace)
+        for _ in range(2):  # the second time nothing exceeds them
+            found.bound(kept_max=8_000, frames_max=4_000)
+        wholes, _ = document_of(trace, whole, "a title")
+        document, _ = document_of(trace, found, "a title")
+    tracks = [track for truth in found.truths.values() for track in truth.values()]
+    assert 0 < sum(len(track) for track in tracks) <= 4_000
+    assert sum(len(one.times_ns) for one in found.traffics()) <= 2_000
+    for one, other in zip(found.traffics(), whole.traffics(), strict=True):
+        assert sum(one.weights) == sum(other.weights)
+        assert one.frames == other.frames == sum(one.counts)
+    for one, other in zip(document["motors"], wholes["motors"], strict=True):
+        for quantity in ("position", "velocity"):
+            assert one["summary"][quantity]["value"] == other["summary"][quantity]["value"]
+        assert [line["points"] for plot in one["plots"] for line in plot["lines"]] == [
+            line["points"] for plot in other["plots"] for line in plot["lines"]
+        ]
+    notes = " ".join(document["notes"])
+    assert "points of quantities are reduced to about" in notes
+    assert f"{sum(one.frames for one in found.traffics()):,} frames are drawn as sums" in notes
+
+
+def test_frequent_incidents_cover_the_whole_recording(tmp_path, report_of):
+    """The row of Modbus exceptions ended at the 2,000th."""
+    one = Recorded(tmp_path / "a.mcap")
+    for n in range(5_000):
+        for data, received in (("01030001000295CB", False), ("018302C0F1", True)):
+            values = {"direction": 1 if received else 2, "data": bytes.fromhex(data)}
+            one.message((2 * n + received) * MS, "/modbus/rs485", MODBUS_ADU, values)
+    found, document, _ = report_of(one.close())
+    assert document["incidents"]["counts"] == [5_000]
+    times = [incident.time_ns for incident in found.incidents.kept()]
+    assert 1_000 <= len(times) <= 2_000
+    assert len({after - before for before, after in pairwise(times)}) == 1
+    assert times[0] == 1 * MS
+    assert times[-1] >= 9_980 * MS
+    (note,) = [note for note in document["notes"] if "incidents" in note]
+    assert note == "of 5000 incidents of kind “Modbus exception” one in 4 is shown"
+
+
+# ------------------------------------------------------------- nodes that are no longer heard
+
+
+def operational(count=10):
+    """Return a drive's heartbeats every 100 ms, and its statusword "operation enabled"."""
+    told = []
+    for n, data in enumerate(("2F001A0000", "23001A0110004160", "2F001A0001")):
+        told.append((2 * n * MS, frame(0x601, data.ljust(16, "0"))))
+        told.append(((2 * n + 1) * MS, frame(0x581, "60" + data[2:8] + "00000000")))
+    told += [(10 * MS + n * 100 * MS, frame(0x701, "05")) for n in range(count)]
+    told += [(11 * MS + n * 100 * MS, frame(0x181, "3702")) for n in range(count)]
+    return sorted(told, key=lambda one: one[0])
+
+
+SYNC_ONLY = [(n * 100 * MS, frame(0x080)) for n in range(1, 51)]
+
+
+def states_of(tmp_path, report_of, frames):
+    path = plain(tmp_path / "a.mcap", sorted(frames, key=lambda one: one[0]))
+    _, document, arrays = report_of(path)
+    name = "can0 node 1"
+    told = []
+    for title in ("NMT", "PDS FSA"):
+        row = rows(document, title)[name]
+        begins = [round(tick * document["time"]["tick_s"], 3) for tick in arrays.whole(row["from"])]
+        told.append(list(zip(begins, words(document, arrays, title, name), strict=True)))
+    return told
+
+
+def test_node_without_heartbeat_is_not_operational(tmp_path, report_of):
+    nmt, pds = states_of(tmp_path, report_of, operational() + SYNC_ONLY)
+    assert nmt == [(0.010, "operational"), (1.010, "no heartbeat")]
+    assert pds == [(0.011, "operation enabled"), (1.010, "no state")]
+
+
+def test_node_that_is_heard_again_is_operational(tmp_path, report_of):
+    later = [(at + 3 * S, data) for at, data in operational()]
+    nmt, pds = states_of(tmp_path, report_of, operational() + SYNC_ONLY + later)
+    assert [word for _, word in nmt] == [
+        *("operational", "no heartbeat", "operational", "no heartbeat"),
+    ]
+    assert [word for _, word in pds][:3] == ["operation enabled", "no state", "operation enabled"]
+
+
+def test_two_missing_heartbeats_are_not_drawn(tmp_path, report_of):
+    told = [one for one in operational() if not 500 * MS < one[0] < 700 * MS]
+    nmt, pds = states_of(tmp_path, report_of, told)
+    assert [word for _, word in nmt] == ["operational"]
+    assert [word for _, word in pds] == ["operation enabled"]
+
+
+def test_statuswords_without_heartbeat_keep_the_state(tmp_path, report_of):
+    words_only = [(at, frame(0x181, "3702")) for at, _ in SYNC_ONLY]
+    nmt, pds = states_of(tmp_path, report_of, operational() + words_only)
+    assert nmt[-1] == (1.010, "no heartbeat")
+    assert pds == [(0.011, "operation enabled")]
+
+
+@pytest.mark.parametrize("node", ["01", "00"])
+def test_reset_node_is_not_operational(tmp_path, report_of, node):
+    """A drive without heartbeat: the command alone tells that it is not operational."""
+    told = [*operational(1), (500 * MS, frame(0x000, "81" + node)), (900 * MS, frame(0x080))]
+    nmt, pds = states_of(tmp_path, report_of, told)
+    assert nmt == [(0.010, "operational"), (0.500, "reset")]
+    assert pds == [(0.011, "operation enabled"), (0.500, "no state")]
+
+
+def test_booted_drive_has_no_state_until_it_says(tmp_path, report_of):
+    told = [*operational(3), (500 * MS, frame(0x701, "00")), (700 * MS, frame(0x701, "7F"))]
+    nmt, pds = states_of(tmp_path, report_of, told)
+    assert nmt == [(0.010, "operational"), (0.500, "boot-up"), (0.700, "pre-operational")]
+    assert pds == [(0.011, "operation enabled"), (0.500, "no state")]

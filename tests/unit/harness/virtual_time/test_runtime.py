@@ -330,3 +330,60 @@ def test_party_that_ignores_its_end_is_reported_by_close(monkeypatch):
 def test_invalid_period_is_refused(runtime, period_s):
     with pytest.raises(UsageError, match=r"period_s = .*: must be 1e-9 to 1e9 s"):
         runtime.every(period_s, lambda: None)
+
+
+# --- endless chains at one instant ------------------------------------------------------------
+
+
+class Chain:
+    """A callback that schedules itself again at the same instant, a number of times."""
+
+    def __init__(self, runtime, count):
+        self.count = count
+        self.alarm = runtime.queue.alarm(self.again)
+        self.alarm.set(3 * MS)
+
+    def again(self, now_ns):
+        self.count -= 1
+        if self.count:
+            self.alarm.set(now_ns)
+
+
+@pytest.mark.parametrize("timeout_s", [None, 0.003, 1.0])
+def test_endless_chain_of_timers_is_named(runtime, timeout_s):
+    Chain(runtime, -1)
+    with pytest.raises(UsageError) as caught:
+        runtime.wait_until(lambda: False, timeout_s)
+    text = str(caught.value)
+    assert text.startswith(f"callback {__name__}.Chain.again: 262144 turns at t = 0.003 s")
+    assert text.endswith("let a delay pass before the next call")
+    assert runtime.now_ns() == 3 * MS
+
+
+def test_long_chain_that_ends_is_no_error(runtime):
+    chains = [Chain(runtime, 100_000), Chain(runtime, 100_000)]
+    runtime.run_for(0.010)
+    assert [chain.count for chain in chains] == [0, 0]
+    assert runtime.now_ns() == 10 * MS
+
+
+def test_many_turns_with_time_between_are_no_error(runtime):
+    calls = []
+    runtime.every(1e-9, lambda: calls.append(0))
+    runtime.run_for(0.0003)
+    assert len(calls) == 300_000
+
+
+def test_endless_chain_of_parties_is_an_error(runtime):
+    """Two parties that pass a turn back and forth let no time pass either."""
+    turn = [0]
+
+    def play(me):
+        while True:
+            runtime.wait_until(lambda: turn[0] == me)
+            turn[0] = 1 - me
+
+    for me in (0, 1):
+        runtime.spawn(f"player {me}", lambda me=me: play(me))
+    with pytest.raises(UsageError, match=r"^parties .*: 262144 turns at t = 0.0 s"):
+        runtime.run_for(1.0)
