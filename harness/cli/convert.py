@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.options import add_eds, attachments_of
 
 if TYPE_CHECKING:
     from motorhil.harness.recording.conversion import Conversion
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="a recording of any format")
     parser.add_argument("-o", "--output", required=True, metavar="TARGET", help="file to write")
     parser.add_argument("--to", choices=names, help="format to write (default: from the ending)")
+    add_eds(parser)
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     parser.add_argument(
         "--strict", action="store_true", help="exit 1 if anything was not readable or is lost"
@@ -45,7 +47,11 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return WRONG_USAGE
-    done = convert(options.source, options.output, name, options.force)
+    attachments = attachments_of(options.eds)
+    if attachments and name != "mcap":
+        print(f"motorhil convert: --eds: {name} holds no EDS; write mcap", file=sys.stderr)
+        return WRONG_USAGE
+    done = convert(options.source, options.output, name, options.force, attachments)
     found = done.findings
     if options.json:
         facts = {

@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import print_table, reading_progress, time_ns
+from motorhil.harness.cli.options import (
+    add_eds,
+    attachments_of,
+    print_table,
+    reading_progress,
+    time_ns,
+)
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
@@ -47,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", type=Path, metavar="RIG", help="the rig, if the recording does not contain it"
     )
+    add_eds(parser)
     parser.add_argument(
         "--complete",
         action="store_true",
@@ -70,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     if options.file is None:
         print("motorhil judge: name a recording, or use --list", file=sys.stderr)
         return WRONG_USAGE
-    facts = Facts(is_complete=options.complete)
+    facts = Facts(is_complete=options.complete, attachments=attachments_of(options.eds))
     if options.limits is not None:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
@@ -87,6 +94,12 @@ def run(options: argparse.Namespace) -> int:
         seen=seen,
     )
     _note_truncation(options.file)
+    for given in options.eds:
+        if not any(given.stands_for(*place) for place in seen.places):
+            heard = ", ".join(f"{bus}:{node}" for bus, node in sorted(seen.places)) or "none"
+            what = f"nothing of node {given.node} is in the recording; heard: {heard}"
+            print(f"motorhil judge: --eds {given}: {what}", file=sys.stderr)
+            return WRONG_USAGE
     if options.limits is not None and (strangers := _strangers(facts, seen)):
         print(f"{options.limits}: {strangers}", file=sys.stderr)
         return WRONG_USAGE

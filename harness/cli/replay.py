@@ -18,7 +18,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_seed, identifier, print_table, real, time_ns, whole
+from motorhil.harness.cli.options import (
+    add_eds,
+    add_seed,
+    attachments_of,
+    identifier,
+    print_table,
+    real,
+    time_ns,
+    whole,
+)
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.virtual_time.interrupts import ends_by_signal
 from motorhil.motorapi.errors import MotorError
@@ -77,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", type=Path, metavar="RIG", help="a rig file (default: the recording's own rig)"
     )
+    add_eds(parser)
     parser.add_argument(
         "--set-points",
         choices=("exact", "any"),
@@ -179,7 +189,7 @@ def run(options: argparse.Namespace) -> int:
         refuse_source(options.file, options.output)
     options.named = options.file
     tell = partial(print, "motorhil replay:", file=sys.stderr)
-    with as_mcap(options.file, tell) as options.file:
+    with as_mcap(options.file, tell, attachments_of(options.eds)) as options.file:
         status: int = _MODES[options.mode](options)
     return status
 
@@ -218,6 +228,8 @@ def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -
     command += ["--seed", str(rig.seed)]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]
+    for given in options.eds:
+        command += ["--eds", str(given)]
     if options.partial:
         command.append("--partial")
     if options.set_points != "exact":

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import identifier, time_ns, whole
+from motorhil.harness.cli.options import add_eds, attachments_of, identifier, time_ns, whole
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.rig.config.toml import one_line
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only this node or Modbus unit",
     )
     parser.add_argument("--motor", action="append", metavar="NAME", help="only this motor")
+    add_eds(parser)
     parser.add_argument(
         "--brief",
         action="store_true",
@@ -68,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the file cannot be read, or is damaged.
     """
     tell = partial(print, "motorhil show:", file=sys.stderr)
-    with open_recording(options.file, tell) as trace:
+    with open_recording(options.file, tell, attachments_of(options.eds)) as trace:
         story = Story(trace)
         wanted = _Filter(options, story)
         from_ns = options.from_ns

@@ -1,7 +1,7 @@
 """Conversion of recorded traffic between formats, with an account of losses."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -24,7 +24,9 @@ from motorhil.traces.formats.registry import (
     record_frames,
 )
 from motorhil.traces.mcap.reader import Trace, read_trace
-from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.mcap.records import MAGIC, Attachment
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import Schema
 
 MODBUS_PCAPNG: Final = "modbus-pcapng"
 _WITH_MODBUS: Final = ("mcap", "pcap")
@@ -69,10 +71,23 @@ def format_of_ending(path: str) -> str | None:
     return endings.get(os.path.splitext(path)[1].lower())
 
 
-def convert(source_path: str, target: str, name: str, overwrite: bool = False) -> Conversion:
+def convert(
+    source_path: str,
+    target: str,
+    name: str,
+    overwrite: bool = False,
+    attachments: Iterable[Attachment] = (),
+) -> Conversion:
     """Write the source's frames to the target, as far as its format can hold them.
 
     If there are no frames, or the format is `MODBUS_PCAPNG`, write the ADUs of Modbus lines.
+
+    Args:
+        source_path: the file to read.
+        target: the file to write.
+        name: the format of the target.
+        overwrite: True to replace an existing target.
+        attachments: files for a target in MCAP; ignored by other formats.
 
     Raises:
         TraceError: the source cannot be read or has no frames; or the target cannot be written, or
@@ -100,7 +115,7 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
         told = {"source": Path(source.path).name, "format": source.format}
         refuse_others(target, MAGIC)
         with whole_file(target) as file:
-            buses = record_frames(file, frames, {"convert": told})
+            buses = record_frames(file, frames, {"convert": told}, attachments)
     else:
         survey = Survey()
         for frame in frames:
@@ -116,27 +131,32 @@ def convert(source_path: str, target: str, name: str, overwrite: bool = False) -
 
 
 def open_recording(
-    path: str | os.PathLike[str], note: Callable[[str], None] | None = None
+    path: str | os.PathLike[str],
+    note: Callable[[str], None] | None = None,
+    attachments: Sequence[Attachment] = (),
 ) -> Trace:
     """Open a recording of any format; one that is not MCAP is converted in an unnamed file.
 
     Args:
         path: the file.
         note: called with what was read as which format, if it was converted.
+        attachments: files beside those of the recording.
 
     Raises:
         TraceError: the file cannot be read, is damaged, or has no frames.
     """
     name = os.fspath(path)
     if _is_mcap_or_nothing(name):
-        return read_trace(path)
+        trace = read_trace(path)
+        trace.attachments.extend(attachments)
+        return trace
     source = open_source(path)
     findings = Findings()
     file = TemporaryFile()  # noqa: SIM115 -- the Trace closes it
     try:
         with os.fdopen(os.dup(file.fileno()), "wb") as target:
             told = {"convert": {"source": Path(name).name, "format": source.format}}
-            if not record_frames(target, source.frames(findings), told):
+            if not record_frames(target, source.frames(findings), told, attachments):
                 raise TraceError(name, f"no frame can be read as {source.format}")
         if note is not None:
             unread = f", {len(findings.problems)} not readable" if findings.problems else ""
@@ -148,22 +168,47 @@ def open_recording(
 
 
 @contextmanager
-def as_mcap(path: Path, note: Callable[[str], None]) -> Iterator[Path]:
+def as_mcap(
+    path: Path, note: Callable[[str], None], attachments: Sequence[Attachment] = ()
+) -> Iterator[Path]:
     """Provide a recording of any format as an MCAP file, in a temporary folder if it is another.
+
+    Args:
+        path: the file.
+        note: called with what was read as which format, if it was converted.
+        attachments: files beside those of the recording; an MCAP file is then copied with them.
 
     Raises:
         TraceError: as `convert`.
     """
-    if _is_mcap_or_nothing(str(path)):
+    is_mcap = _is_mcap_or_nothing(str(path))
+    if is_mcap and not attachments:
         yield path
         return
     with TemporaryDirectory(prefix="motorhil-") as folder:
         target = Path(folder) / f"{path.name}.mcap"
-        done = convert(str(path), str(target), "mcap")
+        if is_mcap:
+            _copy_with(path, target, attachments)
+            yield target
+            return
+        done = convert(str(path), str(target), "mcap", attachments=attachments)
         unread = f", {len(done.findings.problems)} not readable" if done.findings.problems else ""
         unit = "ADUs" if done.is_modbus else "frames"
         note(f"{path}: {done.findings.frames} {unit}, read as {done.source.format}{unread}")
         yield target
+
+
+def _copy_with(path: Path, target: Path, attachments: Sequence[Attachment]) -> None:
+    """Copy a recording with more attachments."""
+    with read_trace(path) as trace, TraceWriter(target, trace.metadata) as writer:
+        for one in (*trace.attachments, *attachments):
+            writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
+        channels: dict[int, int] = {}
+        for channel, time_ns, payload in trace.messages():
+            if channel.number not in channels:
+                schema = channel.schema or Schema("", b"", "")
+                channels[channel.number] = writer.channel(channel.topic, schema, channel.metadata)
+            writer.write(channels[channel.number], time_ns, payload)
 
 
 def _is_mcap_or_nothing(name: str) -> bool:

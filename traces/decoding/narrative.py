@@ -165,8 +165,7 @@ class Story:
         decoder = self._buses.get(bus)
         if decoder is None:
             nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
-            objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
-            decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
+            decoder = self._buses[bus] = CanopenDecoder(nodes, self.names.objects_on(bus))
         frame, _, sender = self._decode_frame(payload)
         said = decoder.decode(frame, sender)
         identifier = None  # None for an error message: its bits are not an identifier

@@ -26,7 +26,7 @@ from motorhil.traces.formats.frames import (
 )
 from motorhil.traces.mcap.chunk import Entry
 from motorhil.traces.mcap.reader import Trace, read_trace
-from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.mcap.records import MAGIC, Attachment
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, FrameDecoder, Schema
 
@@ -70,13 +70,16 @@ def record_frames(
     target: str | os.PathLike[str] | BinaryIO,
     frames: Iterable[Frame],
     metadata: dict[str, dict[str, str]],
+    attachments: Iterable[Attachment] = (),
 ) -> tuple[str, ...]:
-    """Record these frames in this order; return the buses.
+    """Record these frames in this order, after the attachments; return the buses.
 
     Raises:
         TraceError: the recording cannot be written.
     """
     with TraceWriter(target, metadata) as writer:
+        for one in attachments:
+            writer.attach(one.name, one.data, one.media_type)
         channels: dict[str, int] = {}
         sources: dict[tuple[str, str, Direction], int] = {}
         entries: list[Entry] = []
