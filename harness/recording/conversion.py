@@ -1,6 +1,7 @@
 """Conversion of recorded traffic between formats, with an account of losses."""
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from typing import BinaryIO, Final, cast, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import refuse_others, whole_file
+from motorhil.traces.files import head_of, refuse_others, whole_file
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.modbus import RecordedAdu, all_adus
 from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
@@ -107,7 +108,7 @@ def convert(
     if first is None and source.format in _WITH_MODBUS:
         return _convert_modbus(source, target, name)
     if first is None:
-        raise TraceError(source_path, f"no frame can be read as {source.format}")
+        raise _nothing_in(source, findings)
     frames = chain((first,), frames)
     format_ = format_named(name)
     lost: dict[Feature, int] = {}
@@ -152,15 +153,23 @@ def open_recording(
         return trace
     source = open_source(path)
     findings = Findings()
+    unit = "frames"
     file = TemporaryFile()  # noqa: SIM115 -- the Trace closes it
     try:
+        told = {"convert": {"source": Path(name).name, "format": source.format}}
         with os.fdopen(os.dup(file.fileno()), "wb") as target:
-            told = {"convert": {"source": Path(name).name, "format": source.format}}
-            if not record_frames(target, source.frames(findings), told, attachments):
-                raise TraceError(name, f"no frame can be read as {source.format}")
+            is_read = bool(record_frames(target, source.frames(findings), told, attachments))
+        if not is_read and source.format in _WITH_MODBUS:
+            unit = "ADUs"
+            file.truncate(0)
+            with os.fdopen(os.dup(file.fileno()), "wb") as target:
+                target.seek(0)
+                is_read = bool(record_adus(target, _adus(source, findings), told))
+        if not is_read:
+            raise _nothing_in(source, findings)
         if note is not None:
             unread = f", {len(findings.problems)} not readable" if findings.problems else ""
-            note(f"{name}: {findings.frames} frames, read as {source.format}{unread}")
+            note(f"{name}: {findings.frames} {unit}, read as {source.format}{unread}")
         return Trace(name, cast("BinaryIO", file))
     except BaseException:
         file.close()
@@ -216,9 +225,8 @@ def _is_mcap_or_nothing(name: str) -> bool:
     try:
         if not os.path.isfile(name):
             return True
-        with open(name, "rb") as file:
-            head = file.read(len(MAGIC))
-    except OSError:
+        head = head_of(name, len(MAGIC))
+    except TraceError:
         return True
     return not head or MAGIC.startswith(head[:5])
 
@@ -229,8 +237,11 @@ def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
     adus = _adus(source, findings)
     first = next(adus, None)
     if first is None:
-        neither = "no Modbus" if name == MODBUS_PCAPNG else "neither CAN frames nor Modbus"
-        raise TraceError(source.path, f"holds {neither}")
+        if name == MODBUS_PCAPNG:
+            raise TraceError(source.path, "holds no Modbus")
+        findings = Findings()
+        deque(source.frames(findings), 0)
+        raise _nothing_in(source, findings)
     adus = chain((first,), adus)
     if name == "mcap":
         told = {"source": Path(source.path).name, "format": f"Modbus in {source.format}"}
@@ -245,6 +256,15 @@ def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
         export = ModbusExport(file, findings)
         export.add(adus)
     return Conversion(source, target, MODBUS_PCAPNG, findings, export.lines, export.lost, True)
+
+
+def _nothing_in(source: Source, findings: Findings) -> TraceError:
+    """Return the error for a source without traffic, with the first thing that was found."""
+    found = [problem.text for problem in findings.problems] + findings.notes
+    remedy = found[0] if found else "record again: it has no traffic"
+    if source.format in _WITH_MODBUS:
+        return TraceError(source.path, "holds neither CAN frames nor Modbus", remedy=remedy)
+    return TraceError(source.path, f"no frame can be read as {source.format}", remedy=remedy)
 
 
 def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Flag, auto
 from io import TextIOBase, TextIOWrapper
-from pathlib import Path
 from typing import BinaryIO, Final, final
 
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import refuse_pipe, unreadable
+from motorhil.traces.files import head_of, open_content, refuse_pipe, stranger, unreadable
 from motorhil.traces.formats import asc, blf, candump, csv, pcap_can, trc
 from motorhil.traces.formats.frames import (
     Findings,
@@ -262,10 +261,12 @@ class Source:
     Attributes:
         path: the file.
         format: the name of its format.
+        encoding: of a text format.
     """
 
     path: str
     format: str
+    encoding: str = "utf-8"
 
     def frames(self, findings: Findings) -> Iterator[Frame]:
         """Yield the frames in file order; unreadable parts are added to `findings`.
@@ -286,11 +287,12 @@ class Source:
         if self.format == "pcap":
             yield from pcap_can.captured_frames(self.path, findings)
             return
-        try:
-            with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
+        content = open_content(self.path, lambda text: findings.problem(findings.line, text))
+        with TextIOWrapper(content, self.encoding, "replace", "\n") as file:
+            try:
                 yield from read_lines(file, _LINE_READERS[self.format](), findings)
-        except OSError as error:
-            raise unreadable(self.path, error) from error
+            except OSError as error:
+                raise unreadable(self.path, error) from error
 
 
 _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
@@ -310,6 +312,11 @@ _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
 )
 
 
+_MARKS: Final = (  # byte order marks
+    *((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig")),
+)
+
+
 def open_source(path: str | os.PathLike[str]) -> Source:
     """Open a file, and detect its format by its content.
 
@@ -318,22 +325,19 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     """
     name = os.fspath(path)
     refuse_pipe(name)
-    try:
-        with Path(path).open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise unreadable(name, error) from error
+    head = head_of(name, _HEAD_BYTES)
     if head.startswith(MAGIC[:5]):
         return Source(name, "mcap")
     if head.startswith(blf.MAGIC):
         return Source(name, "blf")
     if pcap_can.is_capture(head):
         return Source(name, "pcap")
-    lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
+    encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "utf-8")
+    lines = head.decode(encoding, errors="replace").splitlines()[:_HEAD_LINES]
     for line in lines:
         for format_name, looks in _LOOKS:
             if looks(line):
-                return Source(name, format_name)
+                return Source(name, format_name, encoding)
     known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
-    what = "is empty" if not head else "holds no CAN traffic in a format known here"
-    raise TraceError(name, what, remedy=f"formats are {known}")
+    what, remedy = stranger(head) or ("holds no CAN traffic in a format known here", "")
+    raise TraceError(name, what, remedy=remedy or f"formats are {known}")
