@@ -68,7 +68,7 @@ def format_named(name: str) -> Format | None:
 
 def format_of_ending(path: str) -> str | None:
     """Return the name of the format for a file name's extension, or None if it is unknown."""
-    endings = {".mcap": "mcap"} | {known.ending: known.name for known in WRITABLE}
+    endings = {".mcap": "mcap"} | {known.ending: known.name for known in WRITABLE if known.ending}
     return endings.get(os.path.splitext(path)[1].lower())
 
 

@@ -117,7 +117,7 @@ IN_WORDS: Final = {
     Feature.NANOSECONDS: "what is below 1 us in a stamp",
     Feature.BUS_NAMES: "bus names other than canN",
     Feature.BLANKS: "blanks in bus names",
-    Feature.DIRECTION: "which frames were sent",
+    Feature.DIRECTION: "which frames were sent or received",
     Feature.UNDIRECTED: "that a direction is not known",
     Feature.SENDER: "who sent a frame",
     Feature.REMOTE: "remote frames",
@@ -134,7 +134,7 @@ class Format:
 
     Attributes:
         name: its name.
-        ending: the ending of file names.
+        ending: the ending of file names; "" if it has to be named.
         holds: the features it can store.
         write: its writer.
     """
@@ -177,8 +177,7 @@ class Survey:
             self._count(Feature.BUS_NAMES)
             if one_word(bus) != bus:
                 self._count(Feature.BLANKS)
-        if direction != Direction.RECEIVED:
-            self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
+        self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
         if sender:
             self._count(Feature.SENDER)
         if can_id & RTR:
@@ -221,8 +220,10 @@ def _rows(row: Callable[[Frame, int], str]) -> "Write":
 _NAMES: Final = Feature.BUS_NAMES | Feature.BLANKS
 _NUMBERED: Final = _NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
 _NOT_PLAIN: Final = Feature.SENDER | Feature.BLANKS | Feature.UNDIRECTED
+_MARKED: Final = _ALL & ~Feature.SENDER & ~Feature.BLANKS
 WRITABLE: Final = (
-    Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _rows(candump.log_row)),
+    Format("candump", ".log", _MARKED & ~Feature.DIRECTION, _rows(candump.log_row)),
+    Format("candump-x", "", _MARKED, _rows(candump.marked_row)),
     Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _rows(candump.plain_row)),
     Format(
         *("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS),
