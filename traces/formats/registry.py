@@ -14,7 +14,7 @@ from typing import BinaryIO, Final, final
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import head_of, open_content, refuse_pipe, stranger, unreadable
-from motorhil.traces.formats import asc, blf, candump, csv, pcap_can, trc
+from motorhil.traces.formats import analyser_logs, asc, blf, candump, csv, pcap_can, trc
 from motorhil.traces.formats.frames import (
     Findings,
     Frame,
@@ -302,12 +302,16 @@ _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
     "asc": asc.AscReader,
     "csv": csv.CsvReader,
     "sd-rows": candump.SdRowReader,
+    "busmaster": analyser_logs.BusmasterReader,
+    "minimon": analyser_logs.MinimonReader,
 }
 _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
     ("trc", trc.looks_like_trc),
     ("asc", asc.looks_like_asc),
     ("csv", csv.looks_like_csv),
     ("sd-rows", candump.looks_like_sd_rows),
+    ("busmaster", analyser_logs.looks_like_busmaster),
+    ("minimon", analyser_logs.looks_like_minimon),
     ("candump", candump.looks_like_log),
     ("candump", candump.looks_plain),
 )
