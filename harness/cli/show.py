@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from functools import partial
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_eds, attachments_of, identifier, time_ns, whole
@@ -17,6 +17,9 @@ from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.protobuf import Value
+
+if TYPE_CHECKING:
+    from motorhil.harness.recording.dbc import Dbc
 
 _NS: Final = 1_000_000_000
 _POLL_S: Final = 0.2  # a recorder writes once a second
@@ -50,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor", action="append", metavar="NAME", help="only this motor")
     add_eds(parser)
     parser.add_argument(
+        "--dbc", metavar="FILE", help="DBC with the messages and signals of frames; needs cantools"
+    )
+    parser.add_argument(
         "--brief",
         action="store_true",
         help="leave out SYNC, and heartbeats and PDOs without news other than motion",
@@ -70,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     """
     tell = partial(print, "motorhil show:", file=sys.stderr)
     with open_recording(options.file, tell, attachments_of(options.eds)) as trace:
-        story = Story(trace)
+        story = Story(trace, None if options.dbc is None else _dbc(options.dbc))
         wanted = _Filter(options, story)
         from_ns = options.from_ns
         span = trace.span_ns()
@@ -93,6 +99,12 @@ def run(options: argparse.Namespace) -> int:
             if name not in wanted.met:
                 print(f"motorhil show: no events of motor {name}", file=sys.stderr)
     return PASSED
+
+
+def _dbc(path: str) -> "Dbc":
+    from motorhil.harness.recording.dbc import Dbc
+
+    return Dbc(path)
 
 
 def followed(
@@ -150,6 +162,11 @@ def facts_of(line: Line) -> dict[str, object]:
             }
             for fact in event.facts
         ]
+        if line.message is not None:
+            signals = {
+                name: {"value": value, "unit": unit} for name, value, unit in line.message.signals
+            }
+            table["message"] = {"name": line.message.name, "signals": signals}
     elif line.values:
         table["values"] = {name: _plain(value) for name, value in line.values}
     return table
