@@ -37,6 +37,7 @@ class Dbc:
             told = " ".join(str(error).split())[:_TEXT_MAX]
             remedy = "correct the file, or leave it out"
             raise TraceError(name, f"is not a usable DBC: {told}", remedy=remedy) from error
+        assert isinstance(database, cantools.database.can.Database)  # the format of a DBC
         self._messages: dict[int, Message] = {
             one.frame_id | (EFF if one.is_extended_frame else 0): one for one in database.messages
         }
