@@ -139,7 +139,6 @@ _STRANGERS: Final[tuple[tuple[bytes, str, str], ...]] = (
     (b"#ROSBAG V", "is a ROS 1 bag", "convert it with rosbags-convert or mcap convert"),
     (b"SQLite format 3\0", "is a SQLite database, as rosbag2 writes", "mcap convert FILE.db3"),
     (b"MDF     3", "is an MDF file of version 3", "convert it to MDF 4, with asammdf"),
-    (b"MDF     4", "is an MDF file of version 4", "convert it to ASC or BLF, with asammdf"),
     (b"UnFinMF ", "is an MDF file that was not finalised", "open and save it with its own program"),
     (b"\x89HDF\r\n\x1a\n", "is an HDF5 file", "export CAN frames, not signals"),
     (b"MATLAB 5.0 MAT-file", "is a file of MATLAB", "export CAN frames, not signals"),

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final, final
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import head_of, open_content, refuse_pipe, stranger, unreadable
-from motorhil.traces.formats import analyser_logs, asc, blf, candump, csv, pcap_can, trc
+from motorhil.traces.formats import analyser_logs, asc, blf, candump, csv, mf4, pcap_can, trc
 from motorhil.traces.formats.frames import (
     Findings,
     Frame,
@@ -285,6 +285,9 @@ class Source:
         if self.format == "blf":
             yield from blf.blf_frames(self.path, findings)
             return
+        if self.format == "mf4":
+            yield from mf4.mf4_frames(self.path, findings)
+            return
         if self.format == "pcap":
             yield from pcap_can.captured_frames(self.path, findings)
             return
@@ -335,6 +338,8 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         return Source(name, "mcap")
     if head.startswith(blf.MAGIC):
         return Source(name, "blf")
+    if head.startswith(mf4.MAGIC):
+        return Source(name, "mf4")
     if pcap_can.is_capture(head):
         return Source(name, "pcap")
     encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "utf-8")
@@ -343,6 +348,6 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         for format_name, looks in _LOOKS:
             if looks(line):
                 return Source(name, format_name, encoding)
-    known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
+    known = ", ".join(["mcap", "blf", "mf4", "pcap", *_LINE_READERS])
     what, remedy = stranger(head) or ("holds no CAN traffic in a format known here", "")
     raise TraceError(name, what, remedy=remedy or f"formats are {known}")
