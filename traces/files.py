@@ -3,15 +3,21 @@
 A recording is created unbuffered and locked, so that no second program writes it. It overwrites
 only a recording. Any other result is written beside its target, which it replaces when it is
 complete. Pipes and devices are refused: reading needs random access, and replacing destroys them.
+
+A file that gzip compressed is read as its content, which is unpacked into an unnamed file first.
 """
 
 import fcntl
+import gzip
 import io
 import os
+import re
 import stat
+import tempfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, cast
 
 from motorhil.traces.errors import TraceError
 
@@ -24,6 +30,11 @@ _KINDS: Final[tuple[tuple[Callable[[int], bool], str], ...]] = (
     (stat.S_ISBLK, "a device"),
 )
 _STREAMS: Final = _KINDS[:2]
+_GZIP: Final = b"\x1f\x8b\x08"
+_GZIP_WINDOW: Final = 16 + zlib.MAX_WBITS  # with a head of gzip
+_BLOCK: Final = 1 << 16
+_RATIO_MAX: Final = 200  # of a recording; DEFLATE can reach 1032, with nothing but one byte
+_UNPACKED_FREE: Final = 64_000_000  # bytes below which the ratio does not matter
 
 
 def reason(error: OSError) -> str:
@@ -47,6 +58,114 @@ def refuse_pipe(path: str | os.PathLike[str]) -> None:
     if kind is not None:
         what = f"is {kind}, which can only be read from beginning to end"
         raise TraceError(os.fspath(path), what, remedy="write it to a file first")
+
+
+def head_of(path: str, size: int) -> bytes:
+    """Return the first bytes of a file, or of its content if it is compressed by gzip.
+
+    Raises:
+        TraceError: the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            head = file.read(max(size, _BLOCK))
+    except OSError as error:
+        raise unreadable(path, error) from error
+    if not head.startswith(_GZIP):
+        return head[:size]
+    try:
+        return zlib.decompressobj(_GZIP_WINDOW).decompress(head, size)
+    except zlib.error:
+        return head[:size]
+
+
+def open_content(path: str, report: Callable[[str], None] | None = None) -> BinaryIO:
+    """Open a file, or, if it is compressed by gzip, an unnamed file with its content.
+
+    Args:
+        path: the file.
+        report: called with a damage of the compressed data; the content before it is complete.
+
+    Raises:
+        TraceError: the file cannot be read, or its content is too large.
+    """
+    try:
+        file = open(path, "rb")  # noqa: SIM115  # the caller closes it
+    except OSError as error:
+        raise unreadable(path, error) from error
+    try:
+        if file.read(len(_GZIP)) != _GZIP:
+            file.seek(0)
+            return file
+        with file:
+            file.seek(0)
+            return _unpacked(path, file, report)
+    except OSError as error:
+        file.close()
+        raise unreadable(path, error) from error
+
+
+def _unpacked(path: str, file: BinaryIO, report: Callable[[str], None] | None) -> BinaryIO:
+    content = tempfile.TemporaryFile()  # noqa: SIM115  # the caller closes it
+    limit = max(_UNPACKED_FREE, _RATIO_MAX * os.fstat(file.fileno()).st_size)
+    damage = ""
+    try:
+        try:
+            with gzip.GzipFile(fileobj=file) as packed:
+                while block := packed.read1(_BLOCK):
+                    content.write(block)
+                    if content.tell() > limit:
+                        what = f"unpacks to more than {limit // 1_000_000} MB"
+                        raise TraceError(path, what, remedy="if that is right, gunzip it first")
+        except EOFError:
+            damage = "is cut short"
+        except (gzip.BadGzipFile, zlib.error) as error:
+            damage = f"is damaged ({error})"
+        if damage and report is not None:
+            report(f"its gzip data {damage}, after {content.tell()} bytes of content")
+        content.seek(0)
+    except BaseException:
+        content.close()
+        raise
+    return cast("BinaryIO", content)
+
+
+# Beginning of the file, what it is, what to do with it.
+_STRANGERS: Final[tuple[tuple[bytes, str, str], ...]] = (
+    (b"PK\x03\x04", "is a ZIP archive", "unzip it, and give a file in it"),
+    (b"7z\xbc\xaf\x27\x1c", "is a 7z archive", "unpack it, and give a file in it"),
+    (b"Rar!", "is a RAR archive", "unpack it, and give a file in it"),
+    (b"\x28\xb5\x2f\xfd", "is compressed by zstd", "unpack it with unzstd"),
+    (b"BZh", "is compressed by bzip2", "unpack it with bunzip2"),
+    (b"\xfd7zXZ\0", "is compressed by xz", "unpack it with unxz"),
+    (b"#ROSBAG V", "is a ROS 1 bag", "convert it with rosbags-convert or mcap convert"),
+    (b"SQLite format 3\0", "is a SQLite database, as rosbag2 writes", "mcap convert FILE.db3"),
+    (b"MDF     3", "is an MDF file of version 3", "convert it to MDF 4, with asammdf"),
+    (b"UnFinMF ", "is an MDF file that was not finalised", "open and save it with its own program"),
+    (b"\x89HDF\r\n\x1a\n", "is an HDF5 file", "export CAN frames, not signals"),
+    (b"MATLAB 5.0 MAT-file", "is a file of MATLAB", "export CAN frames, not signals"),
+    (b"\x7fELF", "is a program (ELF)", "give a recording"),
+    (b"%PDF-", "is a PDF document", "give a recording"),
+    (b"version https://git-lfs", "is a pointer of Git LFS, not the file", "run git lfs pull"),
+    (b"<!DOCTYPE", "is a page of the web", "download the file itself, not its page"),
+    (b"<html", "is a page of the web", "download the file itself, not its page"),
+    (b'VERSION "', "is a DBC file, without traffic", "give it to --dbc, with a recording"),
+)
+
+
+def stranger(head: bytes) -> tuple[str, str] | None:
+    """Return the kind of a known file that holds no recording, and what to do; None if unknown."""
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if not text.strip(b"\0"):
+        size = f"{len(head)} " if head else ""
+        what = f"begins with {size}bytes of nothing" if head else "is empty"
+        return what, "record again: its writer wrote nothing"
+    if re.search(rb"^\[(FileInfo|DeviceInfo)\]", text, re.IGNORECASE | re.MULTILINE):
+        return "is an EDS, without traffic", "give it to --eds, with a recording"
+    for begin, what, remedy in _STRANGERS:
+        if text[: len(begin)].lower() == begin.lower():
+            return what, remedy
+    return None
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_max_memory
+from motorhil.harness.cli.options import add_eds, add_max_memory, attachments_of
 
 if TYPE_CHECKING:
     from motorhil.harness.recording.conversion import Conversion
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="a recording of any format")
     parser.add_argument("-o", "--output", required=True, metavar="TARGET", help="file to write")
     parser.add_argument("--to", choices=names, help="format to write (default: from the ending)")
+    add_eds(parser)
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
     parser.add_argument(
         "--strict", action="store_true", help="exit 1 if anything was not readable or is lost"
@@ -47,7 +48,12 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return WRONG_USAGE
-    done = convert(options.source, options.output, name, options.force, options.max_memory)
+    attachments = attachments_of(options.eds)
+    if attachments and name != "mcap":
+        print(f"motorhil convert: --eds: {name} holds no EDS; write mcap", file=sys.stderr)
+        return WRONG_USAGE
+    source, target, memory_max = options.source, options.output, options.max_memory
+    done = convert(source, target, name, options.force, attachments, memory_max)
     found = done.findings
     if options.json:
         facts = {

@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_color, add_max_memory, print_table
+from motorhil.harness.cli.options import (
+    add_color,
+    add_eds,
+    add_max_memory,
+    attachments_of,
+    print_table,
+)
 from motorhil.harness.cli.printable import has_colours
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
@@ -50,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", type=Path, metavar="RIG", help="the rig, if the recording does not contain it"
     )
+    add_eds(parser)
     parser.add_argument(
         "--complete",
         action="store_true",
@@ -74,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if options.file is None:
         print("motorhil judge: name a recording, or use --list", file=sys.stderr)
         return WRONG_USAGE
-    facts = Facts(is_complete=options.complete)
+    facts = Facts(is_complete=options.complete, attachments=attachments_of(options.eds))
     if options.limits is not None:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
@@ -94,6 +101,12 @@ def run(options: argparse.Namespace) -> int:
         seen=seen,
     )
     _note_truncation(options.file)
+    for given in options.eds:
+        if not any(given.stands_for(*place) for place in seen.places):
+            heard = ", ".join(f"{bus}:{node}" for bus, node in sorted(seen.places)) or "none"
+            what = f"nothing of node {given.node} is in the recording; heard: {heard}"
+            print(f"motorhil judge: --eds {given}: {what}", file=sys.stderr)
+            return WRONG_USAGE
     if options.limits is not None and (strangers := _strangers(facts, seen)):
         print(f"{options.limits}: {strangers}", file=sys.stderr)
         return WRONG_USAGE

@@ -6,13 +6,18 @@ Errors of numbers name the limits and the unit.
 import argparse
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.printable import coloured, print_coloured, printable
 from motorhil.harness.rig.config.toml import SEED_MAX, one_line
 from motorhil.traces.files import MEMORY_MAX
 
+if TYPE_CHECKING:
+    from motorhil.traces.mcap.records import Attachment
+
 _NS: Final = 1_000_000_000
+_EDS_BYTES_MAX: Final = 16_000_000
 _NS_MAX: Final = 2**64 - 1  # MCAP's log time
 
 
@@ -103,6 +108,70 @@ def add_max_memory(parser: argparse.ArgumentParser) -> None:
 
 def _mebibytes(text: str) -> int:
     return whole(1, 1 << 20, "MiB")(text) << 20
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class GivenEds:
+    """An EDS for a node of a recording: bus ("" for every bus), node-ID, file."""
+
+    bus: str
+    node: int
+    path: str
+
+    def stands_for(self, bus: str, node: int) -> bool:
+        """Return True if the EDS is for this node."""
+        return node == self.node and self.bus in ("", bus)
+
+    def __str__(self) -> str:
+        place = f"{self.bus}:{self.node}" if self.bus else f"{self.node}"
+        return f"{place}={self.path}"
+
+
+def add_eds(parser: argparse.ArgumentParser) -> None:
+    """Add `--eds [BUS:]NODE=FILE`, which may be repeated; `attachments_of` reads the files."""
+    parser.add_argument(
+        "--eds",
+        action="append",
+        type=_given_eds,
+        default=[],
+        metavar="[BUS:]NODE=FILE",
+        help="EDS or DCF of a node, if the recording lacks it; may be repeated",
+    )
+
+
+def _given_eds(text: str) -> GivenEds:
+    place, _, path = text.partition("=")
+    bus, _, node = place.rpartition(":")
+    if not path or not (node.isascii() and node.isdecimal()) or not 1 <= int(node) <= 127:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not [BUS:]NODE=FILE with a node-ID of 1 to 127, such as can0:5=drive.eds"
+        )
+    return GivenEds(bus, int(node), path)
+
+
+def attachments_of(given: "Sequence[GivenEds]") -> "list[Attachment]":
+    """Return the attachments for the EDS files of `--eds`.
+
+    Raises:
+        TraceError: a file cannot be read, or is not an EDS.
+    """
+    from motorhil.traces.decoding.attached_rig import eds_attachments, objects_in
+    from motorhil.traces.errors import TraceError
+    from motorhil.traces.files import unreadable
+
+    found: list[tuple[str, int, bytes]] = []
+    for one in given:
+        try:
+            with open(one.path, "rb") as file:
+                data = file.read(_EDS_BYTES_MAX + 1)
+        except OSError as error:
+            raise unreadable(one.path, error) from error
+        if len(data) > _EDS_BYTES_MAX or not objects_in(data).count:
+            remedy = "give the EDS or DCF of the drive's vendor"
+            raise TraceError(one.path, "holds no objects of an EDS", remedy=remedy)
+        found.append((one.bus, one.node, data))
+    return eds_attachments(found)
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:

@@ -18,7 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_seed, identifier, print_table, real, whole
+from motorhil.harness.cli.options import (
+    add_eds,
+    add_seed,
+    attachments_of,
+    identifier,
+    print_table,
+    real,
+    whole,
+)
 from motorhil.harness.cli.progress import StatusLine, following
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.rig.config.toml import RigError
@@ -81,6 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", type=Path, metavar="RIG", help="a rig file (default: the recording's own rig)"
     )
+    add_eds(parser)
     parser.add_argument(
         "--set-points",
         choices=("exact", "any"),
@@ -194,7 +203,7 @@ def run(options: argparse.Namespace) -> int:
         refuse_source(options.file, options.output)
     options.named = options.file
     tell = partial(print, "motorhil replay:", file=sys.stderr)
-    with as_mcap(options.file, tell) as options.file:
+    with as_mcap(options.file, tell, attachments_of(options.eds)) as options.file:
         try:
             status: int = _MODES[options.mode](options)
         except RigError as error:  # the user knows only the file that was converted
@@ -238,6 +247,8 @@ def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -
     command += ["--seed", str(rig.seed)]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]
+    for given in options.eds:
+        command += ["--eds", str(given)]
     if options.partial:
         command.append("--partial")
     if options.set_points != "exact":

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import add_max_memory
+from motorhil.harness.cli.options import add_eds, add_max_memory, attachments_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
 
@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--title", help="title of the page (default: the recording's name)")
     add_bit_rates(parser, "bit rate of a CAN bus, if the recording lacks it, such as can0=500k")
+    add_eds(parser)
     parser.add_argument(
         "--foxglove-layout",
         type=Path,
@@ -53,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
 
     target = options.output or Path(options.file).with_suffix(".html")
     tell = partial(print, "motorhil report:", file=sys.stderr)
-    with open_recording(options.file, tell, options.max_memory) as trace:
+    attachments = attachments_of(options.eds)
+    with open_recording(options.file, tell, attachments, options.max_memory) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
         found = collect(trace, rates, data_rates)

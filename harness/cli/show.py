@@ -7,10 +7,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from functools import partial
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import add_max_memory, identifier, whole
+from motorhil.harness.cli.options import (
+    add_eds,
+    add_max_memory,
+    attachments_of,
+    identifier,
+    whole,
+)
 from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.rig.config.toml import one_line
@@ -18,6 +24,9 @@ from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.protobuf import Value
+
+if TYPE_CHECKING:
+    from motorhil.harness.recording.dbc import Dbc
 
 _NS: Final = 1_000_000_000
 _POLL_S: Final = 0.2  # a recorder writes once a second
@@ -46,6 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only this node or Modbus unit",
     )
     parser.add_argument("--motor", action="append", metavar="NAME", help="only this motor")
+    add_eds(parser)
+    parser.add_argument(
+        "--dbc", metavar="FILE", help="DBC with the messages and signals of frames; needs cantools"
+    )
     parser.add_argument(
         "--brief",
         action="store_true",
@@ -66,8 +79,9 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the file cannot be read, or is damaged.
     """
     tell = partial(print, "motorhil show:", file=sys.stderr)
-    with open_recording(options.file, tell, options.max_memory) as trace:
-        story = Story(trace)
+    attachments = attachments_of(options.eds)
+    with open_recording(options.file, tell, attachments, options.max_memory) as trace:
+        story = Story(trace, describe=None if options.dbc is None else _dbc(options.dbc))
         wanted = _Filter(options, story)
         outside: list[str] = []
         from_ns, to_ns = span_of(options, trace.path, trace.span_ns(), outside.append)
@@ -88,6 +102,12 @@ def run(options: argparse.Namespace) -> int:
             if name not in wanted.met:
                 print(f"motorhil show: no events of motor {name}", file=sys.stderr)
     return PASSED
+
+
+def _dbc(path: str) -> "Dbc":
+    from motorhil.harness.recording.dbc import Dbc
+
+    return Dbc(path)
 
 
 def followed(
@@ -145,6 +165,11 @@ def facts_of(line: Line) -> dict[str, object]:
             }
             for fact in event.facts
         ]
+        if line.message is not None:
+            signals = {
+                name: {"value": value, "unit": unit} for name, value, unit in line.message.signals
+            }
+            table["message"] = {"name": line.message.name, "signals": signals}
     elif line.values:
         table["values"] = {name: _plain(value) for name, value in line.values}
     return table

@@ -90,7 +90,7 @@ def span_in(path: str, options: argparse.Namespace, memory_max: int = MEMORY_MAX
     """
     if not has_span(options):
         return None
-    with open_recording(path, None, memory_max) as trace:
+    with open_recording(path, memory_max=memory_max) as trace:
         return trace.span_ns()
 
 

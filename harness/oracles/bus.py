@@ -40,8 +40,7 @@ class BusListener:
         self._context = context
         self._oracles = oracles
         context.buses[name] = False
-        objects = {n: eds for (bus, n), eds in context.names.objects.items() if bus == name}
-        self._decoder = CanopenDecoder(objects=objects)
+        self._decoder = CanopenDecoder(objects=context.names.objects_on(name))
         self._plans: dict[int, tuple[_Part, ...] | None] = {}  # None: not a PDO
         self._senders: dict[int, str] = {}
         self._no_drives: dict[int, None] = {}

@@ -21,7 +21,7 @@ They come from the attached rig and its motor models, from `--rig RIG`, or from 
 Limits of a model apply to commands. Limits of a file apply to measured values.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
@@ -109,10 +109,12 @@ class Facts:
     Attributes:
         motors: by name.
         is_complete: True if the user asserts that no frame is missing.
+        attachments: files beside those of the recording.
     """
 
     motors: Mapping[str, Subject] = field(default_factory=dict)
     is_complete: bool = False
+    attachments: Sequence[Attachment] = ()
 
     def with_more(self, motors: Mapping[str, Subject]) -> "Facts":
         """Return these facts with more motors; for equal names, existing facts take precedence."""

@@ -35,7 +35,7 @@ from motorhil.harness.oracles.network import (
 )
 from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.oracles.state_machine import StateMachine
-from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
+from motorhil.traces.decoding.attached_rig import names_of
 from motorhil.traces.formats.frames import Findings as Reading
 from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import Trace, read_trace
@@ -107,7 +107,7 @@ def judge(
     if source.format == "mcap":
         with read_trace(source.path, source.memory_max) as trace:
             return _judge_trace(trace, facts, only, (from_ns, to_ns), note, seen)
-    context = RecordingContext(facts, RecordedNames(), from_ns, to_ns)
+    context = RecordingContext(facts, names_of(facts.attachments), from_ns, to_ns)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.frames_of(source)
     pass_.report_unjudged(note)
@@ -131,7 +131,8 @@ def _judge_trace(
 ) -> list[Finding]:
     from_ns, to_ns = span_ns
     own = subjects_in(trace.attachments)
-    context = RecordingContext(facts.with_more(own), names_of(trace.attachments), from_ns, to_ns)
+    names = names_of([*trace.attachments, *facts.attachments])
+    context = RecordingContext(facts.with_more(own), names, from_ns, to_ns)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.messages_of(trace, to_ns)
     pass_.report_unjudged(note)

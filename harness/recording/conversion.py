@@ -1,7 +1,8 @@
 """Conversion of recorded traffic between formats, with an account of losses."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -10,7 +11,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from typing import BinaryIO, Final, cast, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import MEMORY_MAX, refuse_others, whole_file
+from motorhil.traces.files import MEMORY_MAX, head_of, refuse_others, whole_file
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.modbus import RecordedAdu, all_adus
 from motorhil.traces.formats.pcap_modbus import AduFeature, ModbusExport, captured_adus, record_adus
@@ -24,7 +25,9 @@ from motorhil.traces.formats.registry import (
     record_frames,
 )
 from motorhil.traces.mcap.reader import Trace, read_trace
-from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.mcap.records import MAGIC, Attachment
+from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import Schema
 
 MODBUS_PCAPNG: Final = "modbus-pcapng"
 _WITH_MODBUS: Final = ("mcap", "pcap")
@@ -65,7 +68,7 @@ def format_named(name: str) -> Format | None:
 
 def format_of_ending(path: str) -> str | None:
     """Return the name of the format for a file name's extension, or None if it is unknown."""
-    endings = {".mcap": "mcap"} | {known.ending: known.name for known in WRITABLE}
+    endings = {".mcap": "mcap"} | {known.ending: known.name for known in WRITABLE if known.ending}
     return endings.get(os.path.splitext(path)[1].lower())
 
 
@@ -74,11 +77,20 @@ def convert(
     target: str,
     name: str,
     overwrite: bool = False,
+    attachments: Iterable[Attachment] = (),
     memory_max: int = MEMORY_MAX,
 ) -> Conversion:
     """Write the source's frames to the target, as far as its format can hold them.
 
     If there are no frames, or the format is `MODBUS_PCAPNG`, write the ADUs of Modbus lines.
+
+    Args:
+        source_path: the file to read.
+        target: the file to write.
+        name: the format of the target.
+        overwrite: True to replace an existing target.
+        attachments: files for a target in MCAP; ignored by other formats.
+        memory_max: the most bytes that are made of one compressed piece of the source.
 
     Raises:
         TraceError: the source cannot be read or has no frames; or the target cannot be written, or
@@ -98,7 +110,7 @@ def convert(
     if first is None and source.format in _WITH_MODBUS:
         return _convert_modbus(source, target, name)
     if first is None:
-        raise TraceError(source_path, f"no frame can be read as {source.format}")
+        raise _nothing_in(source, findings)
     frames = chain((first,), frames)
     format_ = format_named(name)
     lost: dict[Feature, int] = {}
@@ -106,7 +118,7 @@ def convert(
         told = {"source": Path(source.path).name, "format": source.format}
         refuse_others(target, MAGIC)
         with whole_file(target) as file:
-            buses = record_frames(file, frames, {"convert": told})
+            buses = record_frames(file, frames, {"convert": told}, attachments)
     else:
         survey = Survey()
         for frame in frames:
@@ -124,6 +136,7 @@ def convert(
 def open_recording(
     path: str | os.PathLike[str],
     note: Callable[[str], None] | None = None,
+    attachments: Sequence[Attachment] = (),
     memory_max: int = MEMORY_MAX,
 ) -> Trace:
     """Open a recording of any format; one that is not MCAP is converted in an unnamed file.
@@ -131,6 +144,7 @@ def open_recording(
     Args:
         path: the file.
         note: called with what was read as which format, if it was converted.
+        attachments: files beside those of the recording.
         memory_max: the most bytes that are made of one compressed piece of it.
 
     Raises:
@@ -138,18 +152,28 @@ def open_recording(
     """
     name = os.fspath(path)
     if _is_mcap_or_nothing(name):
-        return read_trace(path, memory_max)
+        trace = read_trace(path, memory_max)
+        trace.attachments.extend(attachments)
+        return trace
     source = open_source(path, memory_max)
     findings = Findings()
+    unit = "frames"
     file = TemporaryFile()  # noqa: SIM115 -- the Trace closes it
     try:
+        told = {"convert": {"source": Path(name).name, "format": source.format}}
         with os.fdopen(os.dup(file.fileno()), "wb") as target:
-            told = {"convert": {"source": Path(name).name, "format": source.format}}
-            if not record_frames(target, source.frames(findings), told):
-                raise TraceError(name, f"no frame can be read as {source.format}")
+            is_read = bool(record_frames(target, source.frames(findings), told, attachments))
+        if not is_read and source.format in _WITH_MODBUS:
+            unit = "ADUs"
+            file.truncate(0)
+            with os.fdopen(os.dup(file.fileno()), "wb") as target:
+                target.seek(0)
+                is_read = bool(record_adus(target, _adus(source, findings), told))
+        if not is_read:
+            raise _nothing_in(source, findings)
         if note is not None:
             unread = f", {len(findings.problems)} not readable" if findings.problems else ""
-            note(f"{name}: {findings.frames} frames, read as {source.format}{unread}")
+            note(f"{name}: {findings.frames} {unit}, read as {source.format}{unread}")
         return Trace(name, cast("BinaryIO", file))
     except BaseException:
         file.close()
@@ -157,22 +181,47 @@ def open_recording(
 
 
 @contextmanager
-def as_mcap(path: Path, note: Callable[[str], None]) -> Iterator[Path]:
+def as_mcap(
+    path: Path, note: Callable[[str], None], attachments: Sequence[Attachment] = ()
+) -> Iterator[Path]:
     """Provide a recording of any format as an MCAP file, in a temporary folder if it is another.
+
+    Args:
+        path: the file.
+        note: called with what was read as which format, if it was converted.
+        attachments: files beside those of the recording; an MCAP file is then copied with them.
 
     Raises:
         TraceError: as `convert`.
     """
-    if _is_mcap_or_nothing(str(path)):
+    is_mcap = _is_mcap_or_nothing(str(path))
+    if is_mcap and not attachments:
         yield path
         return
     with TemporaryDirectory(prefix="motorhil-") as folder:
         target = Path(folder) / f"{path.name}.mcap"
-        done = convert(str(path), str(target), "mcap")
+        if is_mcap:
+            _copy_with(path, target, attachments)
+            yield target
+            return
+        done = convert(str(path), str(target), "mcap", attachments=attachments)
         unread = f", {len(done.findings.problems)} not readable" if done.findings.problems else ""
         unit = "ADUs" if done.is_modbus else "frames"
         note(f"{path}: {done.findings.frames} {unit}, read as {done.source.format}{unread}")
         yield target
+
+
+def _copy_with(path: Path, target: Path, attachments: Sequence[Attachment]) -> None:
+    """Copy a recording with more attachments."""
+    with read_trace(path) as trace, TraceWriter(target, trace.metadata) as writer:
+        for one in (*trace.attachments, *attachments):
+            writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
+        channels: dict[int, int] = {}
+        for channel, time_ns, payload in trace.messages():
+            if channel.number not in channels:
+                schema = channel.schema or Schema("", b"", "")
+                channels[channel.number] = writer.channel(channel.topic, schema, channel.metadata)
+            writer.write(channels[channel.number], time_ns, payload)
 
 
 def _is_mcap_or_nothing(name: str) -> bool:
@@ -180,9 +229,8 @@ def _is_mcap_or_nothing(name: str) -> bool:
     try:
         if not os.path.isfile(name):
             return True
-        with open(name, "rb") as file:
-            head = file.read(len(MAGIC))
-    except OSError:
+        head = head_of(name, len(MAGIC))
+    except TraceError:
         return True
     return not head or MAGIC.startswith(head[:5])
 
@@ -193,8 +241,11 @@ def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
     adus = _adus(source, findings)
     first = next(adus, None)
     if first is None:
-        neither = "no Modbus" if name == MODBUS_PCAPNG else "neither CAN frames nor Modbus"
-        raise TraceError(source.path, f"holds {neither}")
+        if name == MODBUS_PCAPNG:
+            raise TraceError(source.path, "holds no Modbus")
+        findings = Findings()
+        deque(source.frames(findings), 0)
+        raise _nothing_in(source, findings)
     adus = chain((first,), adus)
     if name == "mcap":
         told = {"source": Path(source.path).name, "format": f"Modbus in {source.format}"}
@@ -209,6 +260,15 @@ def _convert_modbus(source: Source, target: str, name: str) -> Conversion:
         export = ModbusExport(file, findings)
         export.add(adus)
     return Conversion(source, target, MODBUS_PCAPNG, findings, export.lines, export.lost, True)
+
+
+def _nothing_in(source: Source, findings: Findings) -> TraceError:
+    """Return the error for a source without traffic, with the first thing that was found."""
+    found = [problem.text for problem in findings.problems] + findings.notes
+    remedy = found[0] if found else "record again: it has no traffic"
+    if source.format in _WITH_MODBUS:
+        return TraceError(source.path, "holds neither CAN frames nor Modbus", remedy=remedy)
+    return TraceError(source.path, f"no frame can be read as {source.format}", remedy=remedy)
 
 
 def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:

@@ -401,7 +401,7 @@ class CanBus:
         self._incidents = incidents
         self._frames = FrameDecoder()
         own = {n: controller for (bus, n), controller in names.nodes.items() if bus == name}
-        objects = {n: eds for (bus, n), eds in names.objects.items() if bus == name}
+        objects = names.objects_on(name)
         self._node_names = own
         self._decoder = CanopenDecoder(own, objects)
         self._labels: dict[int, int] = {}

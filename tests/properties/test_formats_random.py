@@ -58,8 +58,7 @@ def recordings(draw, holds):
         bus |= TEXT
     elif Feature.BUS_NAMES in holds:
         bus |= NAMES
-    ways = [Direction.RECEIVED]
-    ways += [Direction.TRANSMITTED] * (Feature.DIRECTION in holds)
+    ways = [Direction.RECEIVED, Direction.TRANSMITTED] * (Feature.DIRECTION in holds)
     ways += [Direction.UNKNOWN] * (Feature.UNDIRECTED in holds)
     one = st.builds(
         Frame,

@@ -1,10 +1,17 @@
 """Facts from the rig, the motor models and the EDS files attached to a recording.
 
-They give names, places, bit rates and units. Without a rig, nothing is known.
+They give names, places, bit rates and units. Without a rig, nothing is known, except the objects of
+nodes with an EDS of their own:
+
+    [[eds]]                 # a file of TOML without tables of a rig
+    node_id = 5
+    bus = "can0"            # "": every bus
+    file = "1a2b3c4d.eds"   # attached as well
 """
 
 import tomllib
-from collections.abc import Iterable, Mapping
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import tau
 from typing import Any, Final, final
@@ -78,7 +85,7 @@ class RecordedNames:
     Attributes:
         nodes: (bus, node or unit) to the controller's name.
         motors: a motor's name to (bus, node or unit).
-        objects: (bus, node) to the objects in its EDS.
+        objects: (bus, node) to the objects in its EDS; bus "" stands for every bus.
     """
 
     nodes: dict[tuple[str, int], str] = field(default_factory=dict)
@@ -96,6 +103,15 @@ class RecordedNames:
         return RecordedNames(
             {**other.nodes, **self.nodes}, {**other.motors, **self.motors}, {**more, **known}
         )
+
+    def objects_on(self, bus: str) -> dict[int, ObjectNames]:
+        """Return the objects of the nodes on a bus, by node-ID."""
+        return {
+            node: objects
+            for where in ("", bus)
+            for (place, node), objects in self.objects.items()
+            if place == where
+        }
 
 
 def rig_in(data: bytes) -> Table | None:
@@ -121,9 +137,49 @@ def names_of(attachments: Iterable[Attachment]) -> RecordedNames:
         names.nodes[place] = name
         eds = str(table.get("eds", "")).rpartition("/")[2]
         if eds.lower().endswith(_EDS) and eds in files:
-            names.objects[place] = ObjectNames(files[eds].data.decode("cp1252", errors="replace"))
+            names.objects[place] = objects_in(files[eds].data)
+    for bus, node, file in _given_eds(files.values()):
+        if file in files:
+            for place in [one for one in names.objects if one[1] == node and bus in ("", one[0])]:
+                del names.objects[place]
+            names.objects[bus, node] = objects_in(files[file].data)
     names.motors = {one.name: one.place for one in facts.motors.values() if one.place is not None}
     return names
+
+
+def objects_in(eds: bytes) -> ObjectNames:
+    """Return the objects in an EDS or DCF; vendors use the code page of Windows."""
+    return ObjectNames(eds.decode("cp1252", errors="replace"))
+
+
+def eds_attachments(given: Iterable[tuple[str, int, bytes]]) -> list[Attachment]:
+    """Return the attachments that give nodes an EDS: bus ("" for every bus), node-ID, contents.
+
+    They take precedence over the EDS files of a rig.
+    """
+    found: list[Attachment] = []
+    rows: list[str] = []
+    for bus, node, eds in given:
+        name = f"{zlib.crc32(eds):08x}.eds"
+        found.append(Attachment(name, "text/plain", 0, eds))
+        quoted = bus.replace("\\", "\\\\").replace('"', '\\"')
+        rows.append(f'[[eds]]\nbus = "{quoted}"\nnode_id = {node}\nfile = "{name}"\n')
+    if rows:
+        table = "".join(rows).encode()
+        found.append(Attachment(f"{zlib.crc32(table):08x}.toml", "application/toml", 0, table))
+    return found
+
+
+def _given_eds(attachments: Iterable[Attachment]) -> Iterator[tuple[str, int, str]]:
+    """Yield bus, node-ID and file of each EDS that is given without a rig."""
+    for one in attachments:
+        table = _toml(one.data) or {}
+        rows = table.get("eds")
+        for row in rows if isinstance(rows, list) else ():
+            if isinstance(row, dict):
+                bus, node, file = row.get("bus"), row.get("node_id"), row.get("file")
+                if isinstance(bus, str) and isinstance(node, int) and isinstance(file, str):
+                    yield bus, node, file
 
 
 def facts_of(attachments: Iterable[Attachment]) -> RigFacts:

@@ -5,9 +5,9 @@ PDOs, and only the last PDO of each identifier counts, unless a message that aff
 follows. So only a few messages need to be decoded.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
@@ -59,6 +59,41 @@ _LOCK_WORDS: Final = {
 
 
 @final
+class Signal(NamedTuple):
+    """A signal of a CAN message: its name, its value in the unit, or by name, and the unit."""
+
+    name: str
+    value: int | float | str
+    unit: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class BusMessage:
+    """A CAN message by another description than CANopen.
+
+    Attributes:
+        name: its name.
+        signals: its signals, in the order of the description.
+        problem: why its data cannot be decoded; "" if it was.
+    """
+
+    name: str
+    signals: tuple[Signal, ...] = ()
+    problem: str = ""
+
+    def __str__(self) -> str:
+        if self.problem:
+            return f"{self.name}: not decodable: {self.problem}"
+        told = (f"{name} = {_shown(value)} {unit}".rstrip() for name, value, unit in self.signals)
+        return f"{self.name}: {', '.join(told)}".rstrip(": ")
+
+
+def _shown(value: int | float | str) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+@final
 @dataclass(frozen=True, slots=True)
 class Line:
     """One message of a recording in words.
@@ -73,6 +108,7 @@ class Line:
         direction: of a CAN frame, if recorded.
         names: names of the motors and controllers concerned.
         values: the message's own fields; none for a CAN frame.
+        message: the message by another description; `text` is then its own.
     """
 
     time_ns: int
@@ -84,14 +120,27 @@ class Line:
     names: tuple[str, ...] = ()
     values: tuple[tuple[str, Value], ...] = ()
     direction: Direction = Direction.UNKNOWN
+    message: BusMessage | None = None
 
 
 @final
 class Story:
     """Describes an open recording in words; read it from front to back (decoders have state)."""
 
-    def __init__(self, trace: Trace, names: RecordedNames | None = None) -> None:
-        """Start before the first message, with these names; None: those in the recording."""
+    def __init__(
+        self,
+        trace: Trace,
+        names: RecordedNames | None = None,
+        describe: Callable[[bytes], BusMessage | None] | None = None,
+    ) -> None:
+        """Start before the first message.
+
+        Args:
+            trace: the recording.
+            names: names of nodes and objects; None: those in the recording.
+            describe: returns the message in a frame, if it knows that; None: nothing does.
+        """
+        self._describe = describe
         self.names = names_of(trace.attachments) if names is None else names
         self._trace = trace
         self._has_learned = False
@@ -169,15 +218,26 @@ class Story:
         decoder = self._buses.get(bus)
         if decoder is None:
             nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
-            objects = {n: names for (b, n), names in self.names.objects.items() if b == bus}
-            decoder = self._buses[bus] = CanopenDecoder(nodes, objects)
+            decoder = self._buses[bus] = CanopenDecoder(nodes, self.names.objects_on(bus))
         frame, direction, sender = self._decode_frame(payload)
         said = decoder.decode(frame, sender)
         identifier = None  # None for an error message: its bits are not an identifier
         if said.kind is not Kind.BUS_ERROR:
             identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
         about = self._about(bus, said.node)
-        return Line(time_ns, topic, bus, said.text, said, identifier, about, direction=direction)
+        message = None if self._describe is None else self._describe(frame)
+        text = said.text if message is None else str(message)
+        return Line(
+            time_ns,
+            topic,
+            bus,
+            text,
+            said,
+            identifier,
+            about,
+            message=message,
+            direction=direction,
+        )
 
     def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
         decoder = self._lines.get(name)

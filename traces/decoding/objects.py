@@ -241,9 +241,15 @@ class ObjectNames:
     def __init__(self, eds: str = "") -> None:
         """Read the text of an EDS or DCF; invalid entries are skipped."""
         self._own: dict[tuple[int, int], ObjectName] = {}
+        self._wholes: dict[int, str] = {}  # names of arrays and records
         self.defaults: dict[tuple[int, int], str] = {}
         if eds:
             self._read(eds)
+
+    @property
+    def count(self) -> int:
+        """The number of objects and sub-indices in the EDS."""
+        return len(self._own)
 
     def of(self, index: int, subindex: int, is_drive: bool = True) -> ObjectName:
         """Return the object's name; its text is empty if it is unknown."""
@@ -252,7 +258,10 @@ class ObjectNames:
         own = self._own.get((index, subindex))
         if own is None or (standard.text and standard.kind):
             return standard
-        return own
+        whole = self._wholes.get(index, "") if subindex else ""
+        if not whole or whole in own.text:
+            return own
+        return ObjectName(f"{whole}, {own.text}", own.kind)
 
     def _read(self, text: str) -> None:
         parser = configparser.RawConfigParser(strict=False, allow_no_value=True)
@@ -269,8 +278,10 @@ class ObjectNames:
                 continue
             if not 0x1000 <= key[0] <= 0xFFFF:
                 continue
-            name = parser.get(section, "ParameterName", fallback="") or ""
-            self._own[key] = ObjectName(name.strip(), _EDS_KINDS.get(kind, ""))
+            name = (parser.get(section, "ParameterName", fallback="") or "").strip()
+            if not sub:
+                self._wholes[key[0]] = name
+            self._own[key] = ObjectName(name, _EDS_KINDS.get(kind, ""))
             value = parser.get(section, "ParameterValue", fallback=None) or parser.get(
                 section, "DefaultValue", fallback=None
             )

@@ -87,5 +87,4 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
 
 def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenExchanges:
     nodes = {number: name for (where, number), name in names.nodes.items() if where == bus}
-    objects = {number: known for (where, number), known in names.objects.items() if where == bus}
-    return CanopenExchanges(bus, begin_ns, nodes, objects, any_set_point)
+    return CanopenExchanges(bus, begin_ns, nodes, names.objects_on(bus), any_set_point)

@@ -124,13 +124,23 @@ class AscReader:
             findings.note("requests to send (TxRq) are not frames, and are omitted")
             return None
         can_id, way = self._identifier(parts[1]), _WAYS[parts[2]]
-        length = _length(parts[4]) if len(parts) > 4 else None
-        if parts[3] == "r":
-            return Frame(time_ns, bus, can_frame.remote(can_id, length or 0), way)
-        if length is None:
+        if parts[3] == "r":  # the fields behind a remote frame begin with "Length = "
+            length = _length(parts[4]) if len(parts) > 4 and parts[4] != "Length" else 0
+            return Frame(time_ns, bus, can_frame.remote(can_id, length), way)
+        if len(parts) < 5:
             raise ValueError("ends in the middle")
-        data = self._bytes(parts[5:], min(length, 8))
-        return Frame(time_ns, bus, can_frame.classic(can_id, data), way)
+        return Frame(time_ns, bus, self._data_frame(can_id, parts[4], parts[5:], findings), way)
+
+    def _data_frame(self, can_id: int, digits: str, rest: list[str], findings: Findings) -> bytes:
+        """Return the frame of a classic row; some tools write CAN FD frames in such rows."""
+        length = can_frame.FD_LENGTHS[_length(digits)] if len(digits) == 1 else int(digits, 16)
+        size = next((at for at, part in enumerate(rest) if len(part) > 3 or part == "="), len(rest))
+        if length <= 8 or (len(digits) == 1 and size < length):
+            return can_frame.classic(can_id, self._bytes(rest, min(length, 8)))
+        if length not in can_frame.FD_LENGTHS:
+            raise ValueError(f"not a DLC: {digits!r}")
+        findings.note("some rows have more than 8 bytes; read as CAN FD, without BRS and ESI")
+        return can_frame.flexible(can_id, 0, self._bytes(rest, length))
 
     def _fd_row(self, parts: list[str], time_ns: int) -> Frame:
         if len(parts) < 7 or parts[1] not in _WAYS:

@@ -16,13 +16,12 @@ python-can 4.6.1; the flags of error frames, Wireshark, wiretap/blf.h.
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import BinaryIO, Final, final
 
 from motorhil.traces import can_frame
 from motorhil.traces.can_frame import Fields
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import MEMORY_MAX, unreadable
+from motorhil.traces.files import MEMORY_MAX, open_content
 from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.schema import Direction
@@ -73,10 +72,8 @@ def blf_frames(path: str, findings: Findings, memory_max: int = MEMORY_MAX) -> I
     Raises:
         TraceError: the file cannot be read, or is not a BLF file.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise unreadable(path, error) from error
+    with open_content(path, lambda text: findings.problem(0, text)) as file:
+        data = file.read()
     if data[:4] != MAGIC:
         raise TraceError(path, "is not a BLF file")
     if len(data) < _START_AT + _START.size:

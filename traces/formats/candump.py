@@ -209,6 +209,12 @@ def _stamp(time_ns: int, places: int) -> str:
     return f"{whole:0>10}.{fraction}"
 
 
+def marked_row(frame: Frame, places: int = 6) -> str:
+    """Return a row of `candump -L -x`, whose mark of direction other programs may not read."""
+    way = {Direction.RECEIVED: " R", Direction.TRANSMITTED: " T"}.get(frame.direction, "")
+    return f"{log_row(frame, places)[:-1]}{way}\n"
+
+
 def log_row(frame: Frame, places: int = 6) -> str:
     """Return a row of `candump -L`, with microseconds, or with nanoseconds like -N."""
     told = can_frame.fields(frame.frame)
@@ -219,9 +225,8 @@ def log_row(frame: Frame, places: int = 6) -> str:
         body = f"#{told.flags & 3:X}{told.data.hex().upper()}"
     else:
         body = told.data.hex().upper()
-    way = {Direction.RECEIVED: " R", Direction.TRANSMITTED: " T"}.get(frame.direction, "")
     bus = traffic.one_word(frame.bus)
-    return f"({_stamp(frame.time_ns, places)}) {bus} {_digits(told)}#{body}{way}\n"
+    return f"({_stamp(frame.time_ns, places)}) {bus} {_digits(told)}#{body}\n"
 
 
 def looks_like_sd_rows(line: str) -> bool:

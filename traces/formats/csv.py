@@ -153,8 +153,13 @@ def _python_can(row: Row) -> Frame:
 def _savvycan(row: Row) -> Frame:
     length = _number(row["len"])
     data = bytes(_byte(row[f"d{n}"]) for n in range(1, length + 1))
-    can_id = _can_id(row["id"], _YES[row["extended"].lower()])
-    frame = can_frame.classic(can_id, data) if length <= 8 else can_frame.flexible(can_id, 0, data)
+    if _hexadecimal(row["id"]) & ~can_frame.EFF_MASK == can_frame.ERR:  # of SocketCAN
+        frame = can_frame.classic(_hexadecimal(row["id"]), data.ljust(8, b"\0"))
+    else:
+        can_id = _can_id(row["id"], _YES[row["extended"].lower()])
+        frame = (
+            can_frame.classic(can_id, data) if length <= 8 else can_frame.flexible(can_id, 0, data)
+        )
     direction = _SAVVY_WAYS.get(row.get("dir", "").lower(), Direction.UNKNOWN)
     bus = f"can{_number(row['bus'])}"
     return Frame(traffic.decimal_ns(row["time stamp"], 3), bus, frame, direction)

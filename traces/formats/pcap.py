@@ -12,10 +12,10 @@ import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, final
 
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import open_content
 from motorhil.traces.schema import Direction
 
 MAGIC: Final = b"\x0a\x0d\x0d\x0a"
@@ -107,10 +107,8 @@ class Capture:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path: Final = os.fspath(path)
         self.problems: list[str] = []
-        try:
-            self._data = Path(path).read_bytes()
-        except OSError as error:
-            raise TraceError(self.path, str(error.strerror)) from error
+        with open_content(self.path, self.problems.append) as file:
+            self._data = file.read()
         start = self._data[:4]
         if start not in PCAP and start != MAGIC:
             begins = start.hex(" ").upper() or "nothing"

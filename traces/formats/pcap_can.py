@@ -8,6 +8,7 @@ Source: LINKTYPE_CAN_SOCKETCAN, LINKTYPE_LINUX_SLL, tcpdump.org; draft-ietf-opsa
 """
 
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import BinaryIO, Final
 
@@ -20,6 +21,10 @@ _BUS: Final = "can0"  # of a file without names
 _SOCKETCAN: Final = 227
 _COOKED: Final = 113
 _COOKED_2: Final = 276
+_LINKS: Final = {
+    **{0: "loopback", 1: "Ethernet", 101: "raw IP", 105: "IEEE 802.11", 113: "cooked"},
+    **{189: "USB", 210: "FlexRay", 212: "LIN", 220: "USB", 250: "serial lines", 276: "cooked"},
+}
 _PROTOCOLS: Final = (0x000C, 0x000D)  # ETH_P_CAN, ETH_P_CANFD
 _HEADS: Final = {order: struct.Struct(order + "IBB2x") for order in "<>"}
 
@@ -36,12 +41,12 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
         TraceError: the file cannot be read, or is not a capture.
     """
     capture = Capture(path)
-    others = 0
+    others: Counter[int] = Counter()  # by link type
     for packet in capture.packets():
         try:
             content, direction = _can_part(packet)
             if content is None:
-                others += 1
+                others[packet.link_type] += 1
                 continue
             head = _HEADS[">" if packet.link_type == _SOCKETCAN else packet.order]
             frame = _frame(content, head, packet.missing)
@@ -54,7 +59,8 @@ def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
         way = packet.direction or direction
         yield Frame(packet.time_ns, bus, frame, way, packet.sender or "")
     if others:
-        findings.note(f"{others} packets are not CAN frames, and are omitted")
+        kinds = ", ".join(_LINKS.get(one, f"link type {one}") for one in sorted(others))
+        findings.note(f"{others.total()} packets are not CAN frames ({kinds}), and are omitted")
     for problem in capture.problems:
         findings.problem(0, problem.removeprefix(f"{path}: "))
 

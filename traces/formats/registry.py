@@ -9,13 +9,19 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Flag, auto
 from io import TextIOBase, TextIOWrapper
-from pathlib import Path
 from typing import BinaryIO, Final, final
 
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import MEMORY_MAX, refuse_pipe, unreadable
-from motorhil.traces.formats import asc, blf, candump, csv, pcap_can, trc
+from motorhil.traces.files import (
+    MEMORY_MAX,
+    head_of,
+    open_content,
+    refuse_pipe,
+    stranger,
+    unreadable,
+)
+from motorhil.traces.formats import analyser_logs, asc, blf, candump, csv, mf4, pcap_can, trc
 from motorhil.traces.formats.frames import (
     Findings,
     Frame,
@@ -26,7 +32,7 @@ from motorhil.traces.formats.frames import (
 )
 from motorhil.traces.mcap.chunk import Entry
 from motorhil.traces.mcap.reader import Trace, read_trace
-from motorhil.traces.mcap.records import MAGIC
+from motorhil.traces.mcap.records import MAGIC, Attachment
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, FrameDecoder, Schema
 
@@ -70,13 +76,16 @@ def record_frames(
     target: str | os.PathLike[str] | BinaryIO,
     frames: Iterable[Frame],
     metadata: dict[str, dict[str, str]],
+    attachments: Iterable[Attachment] = (),
 ) -> tuple[str, ...]:
-    """Record these frames in this order; return the buses.
+    """Record these frames in this order, after the attachments; return the buses.
 
     Raises:
         TraceError: the recording cannot be written.
     """
     with TraceWriter(target, metadata) as writer:
+        for one in attachments:
+            writer.attach(one.name, one.data, one.media_type)
         channels: dict[str, int] = {}
         sources: dict[tuple[str, str, Direction], int] = {}
         entries: list[Entry] = []
@@ -115,7 +124,7 @@ IN_WORDS: Final = {
     Feature.NANOSECONDS: "what is below 1 us in a stamp",
     Feature.BUS_NAMES: "bus names other than canN",
     Feature.BLANKS: "blanks in bus names",
-    Feature.DIRECTION: "which frames were sent",
+    Feature.DIRECTION: "which frames were sent or received",
     Feature.UNDIRECTED: "that a direction is not known",
     Feature.SENDER: "who sent a frame",
     Feature.REMOTE: "remote frames",
@@ -132,7 +141,7 @@ class Format:
 
     Attributes:
         name: its name.
-        ending: the ending of file names.
+        ending: the ending of file names; "" if it has to be named.
         holds: the features it can store.
         write: its writer.
     """
@@ -175,8 +184,7 @@ class Survey:
             self._count(Feature.BUS_NAMES)
             if one_word(bus) != bus:
                 self._count(Feature.BLANKS)
-        if direction != Direction.RECEIVED:
-            self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
+        self._count(Feature.DIRECTION if direction else Feature.UNDIRECTED)
         if sender:
             self._count(Feature.SENDER)
         if can_id & RTR:
@@ -219,8 +227,10 @@ def _rows(row: Callable[[Frame, int], str]) -> "Write":
 _NAMES: Final = Feature.BUS_NAMES | Feature.BLANKS
 _NUMBERED: Final = _NAMES | Feature.UNDIRECTED | Feature.SENDER | Feature.ERROR_FRAMES
 _NOT_PLAIN: Final = Feature.SENDER | Feature.BLANKS | Feature.UNDIRECTED
+_MARKED: Final = _ALL & ~Feature.SENDER & ~Feature.BLANKS
 WRITABLE: Final = (
-    Format("candump", ".log", _ALL & ~Feature.SENDER & ~Feature.BLANKS, _rows(candump.log_row)),
+    Format("candump", ".log", _MARKED & ~Feature.DIRECTION, _rows(candump.log_row)),
+    Format("candump-x", "", _MARKED, _rows(candump.marked_row)),
     Format("candump-plain", ".txt", _ALL & ~_NOT_PLAIN, _rows(candump.plain_row)),
     Format(
         *("trc", ".trc", _ALL & ~_NUMBERED & ~Feature.NANOSECONDS),
@@ -260,11 +270,13 @@ class Source:
         path: the file.
         format: the name of its format.
         memory_max: the most bytes that are made of one compressed piece of it.
+        encoding: of a text format.
     """
 
     path: str
     format: str
     memory_max: int = MEMORY_MAX
+    encoding: str = "utf-8"
 
     def frames(self, findings: Findings) -> Iterator[Frame]:
         """Yield the frames in file order; unreadable parts are added to `findings`.
@@ -282,14 +294,18 @@ class Source:
         if self.format == "blf":
             yield from blf.blf_frames(self.path, findings, self.memory_max)
             return
+        if self.format == "mf4":
+            yield from mf4.mf4_frames(self.path, findings)
+            return
         if self.format == "pcap":
             yield from pcap_can.captured_frames(self.path, findings)
             return
-        try:
-            with open(self.path, encoding="utf-8", errors="replace", newline="\n") as file:
+        content = open_content(self.path, lambda text: findings.problem(findings.line, text))
+        with TextIOWrapper(content, self.encoding, "replace", "\n") as file:
+            try:
                 yield from read_lines(file, _LINE_READERS[self.format](), findings)
-        except OSError as error:
-            raise unreadable(self.path, error) from error
+            except OSError as error:
+                raise unreadable(self.path, error) from error
 
 
 _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
@@ -298,14 +314,23 @@ _LINE_READERS: Final[dict[str, Callable[[], LineReader]]] = {
     "asc": asc.AscReader,
     "csv": csv.CsvReader,
     "sd-rows": candump.SdRowReader,
+    "busmaster": analyser_logs.BusmasterReader,
+    "minimon": analyser_logs.MinimonReader,
 }
 _LOOKS: Final[tuple[tuple[str, Callable[[str], bool]], ...]] = (
     ("trc", trc.looks_like_trc),
     ("asc", asc.looks_like_asc),
     ("csv", csv.looks_like_csv),
     ("sd-rows", candump.looks_like_sd_rows),
+    ("busmaster", analyser_logs.looks_like_busmaster),
+    ("minimon", analyser_logs.looks_like_minimon),
     ("candump", candump.looks_like_log),
     ("candump", candump.looks_plain),
+)
+
+
+_MARKS: Final = (  # byte order marks
+    *((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig")),
 )
 
 
@@ -317,22 +342,21 @@ def open_source(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> S
     """
     name = os.fspath(path)
     refuse_pipe(name)
-    try:
-        with Path(path).open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise unreadable(name, error) from error
+    head = head_of(name, _HEAD_BYTES)
     if head.startswith(MAGIC[:5]):
         return Source(name, "mcap", memory_max)
     if head.startswith(blf.MAGIC):
         return Source(name, "blf", memory_max)
+    if head.startswith(mf4.MAGIC):
+        return Source(name, "mf4")
     if pcap_can.is_capture(head):
-        return Source(name, "pcap", memory_max)
-    lines = head.decode("utf-8", errors="replace").splitlines()[:_HEAD_LINES]
+        return Source(name, "pcap")
+    encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "utf-8")
+    lines = head.decode(encoding, errors="replace").splitlines()[:_HEAD_LINES]
     for line in lines:
         for format_name, looks in _LOOKS:
             if looks(line):
-                return Source(name, format_name, memory_max)
-    known = ", ".join(["mcap", "blf", "pcap", *_LINE_READERS])
-    what = "is empty" if not head else "holds no CAN traffic in a format known here"
-    raise TraceError(name, what, remedy=f"formats are {known}")
+                return Source(name, format_name, memory_max, encoding)
+    known = ", ".join(["mcap", "blf", "mf4", "pcap", *_LINE_READERS])
+    what, remedy = stranger(head) or ("holds no CAN traffic in a format known here", "")
+    raise TraceError(name, what, remedy=remedy or f"formats are {known}")

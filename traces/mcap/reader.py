@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import MEMORY_MAX, refuse_pipe, unreadable
+from motorhil.traces.files import MEMORY_MAX, open_content, refuse_pipe
 from motorhil.traces.mcap import records
 from motorhil.traces.mcap.records import (
     Attachment,
@@ -106,10 +106,7 @@ def read_trace(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> "T
     """
     name = os.fspath(path)
     refuse_pipe(name)
-    try:
-        file = open(name, "rb")  # noqa: SIM115  # the Trace closes it
-    except OSError as error:
-        raise unreadable(name, error) from error
+    file = open_content(name)
     try:
         return Trace(name, file, memory_max)
     except BaseException:

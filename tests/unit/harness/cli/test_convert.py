@@ -10,6 +10,7 @@ from motorhil.traces.formats.registry import record_frames
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, Schema
+from tests.support.recordings.captures import pcap
 
 TEXT = """\
 candump can0
@@ -112,8 +113,20 @@ def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
         "again.mcap: 1 ADUs of rs485, from pcap to mcap\n",
         "",
     )
+    _, out, err = say("show", "line.pcapng")
+    assert "Modbus to unit 1: read 2 registers" in out
+    assert err == "motorhil show: line.pcapng: 1 ADUs, read as pcap\n"
     assert say("convert", "again.mcap", "-o", "x.log")[2] == (
         "again.mcap: holds Modbus, which candump cannot; convert it to mcap or pcapng\n"
+    )
+
+
+@pytest.mark.parametrize("words", [("show",), ("convert", "-o", "x.mcap")])
+def test_capture_of_another_network_names_its_kind(folder, say, words):
+    (folder / "other.pcap").write_bytes(pcap([(0, 0, bytes(40))] * 3, link_type=105))
+    assert say(words[0], "other.pcap", *words[1:])[2] == (
+        "other.pcap: holds neither CAN frames nor Modbus; 3 packets are not CAN frames"
+        " (IEEE 802.11), and are omitted\n"
     )
 
 

@@ -214,6 +214,8 @@ def without(feature, form, one):
         return one._replace(time_ns=one.time_ns // 1000 * 1000)
     if feature is Feature.SENDER:
         return one._replace(sender="")
+    if feature is Feature.DIRECTION:
+        return one._replace(direction=Direction.UNKNOWN)
     if feature is Feature.ERROR_FRAMES and one.frame[3] & 0x20:
         told = one._replace(frame=NO_WORDS, direction=Direction.UNKNOWN)
         return told if form.name == "asc" else None
@@ -229,6 +231,7 @@ def test_conversion_keeps_or_reports_every_feature(form):
     errors, _, count = kinds_of(frames)
     finer = sum(one.time_ns % 1000 > 0 for one in frames)
     counts = {Feature.NANOSECONDS: finer, Feature.SENDER: count, Feature.ERROR_FRAMES: errors}
+    counts[Feature.DIRECTION] = sum(one.direction is not Direction.UNKNOWN for one in frames)
     lost = {one: number for one, number in counts.items() if one not in form.holds}
     assert there.lost == lost
     for feature in lost:

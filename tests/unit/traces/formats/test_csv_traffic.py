@@ -55,6 +55,14 @@ def test_savvycan_table_has_microseconds():
     ]  # fmt: skip
 
 
+def test_error_frame_in_savvycan_table_is_one():
+    """SocketCAN's class of the error is in the identifier, with its flag 20000000h."""
+    frames, findings = read(SAVVY, "166064000,20000088,true,Rx,0,8,0,0,80,19,0,0,0,0,")
+    assert findings.problems == []
+    error = classic(can_frame.ERR | 0x88, bytes.fromhex("0000801900000000"))
+    assert [frame.frame for frame in frames] == [error]
+
+
 @pytest.mark.parametrize(
     ("head", "row", "why"),
     [

@@ -105,7 +105,7 @@ def test_packet_of_missing_interface_is_skipped(tmp_path):
 def test_file_other_than_capture_is_refused(tmp_path, data):
     with pytest.raises(TraceError, match=r"some\.pcap: is neither pcap nor pcapng"):
         Capture(written(tmp_path, data))
-    with pytest.raises(TraceError, match="No such file"):
+    with pytest.raises(TraceError, match="cannot be read: no such file"):
         Capture(tmp_path / "missing.pcap")
 
 

@@ -15,7 +15,7 @@ from motorhil.traces.schema import Direction
 
 R = Direction.RECEIVED
 S = 1_000_000_000
-FORMAT_OF = {form.ending: form.name for form in WRITABLE}
+FORMAT_OF = {form.ending: form.name for form in WRITABLE} | {".log": "candump-x"}
 FD = [
     Frame((n + 1) * S, "can0", flexible(can_id, flags, bytes(range(size))), R)
     for n, (can_id, flags, size) in enumerate(

@@ -56,7 +56,7 @@ def test_real_file_matches_index(shared, tmp_path, name):
     assert told is None or int(told[1]) == backward
     if frames > 20_000:
         return
-    convert(tmp_path / "a.mcap", tmp_path / "b.log", "candump")
+    convert(tmp_path / "a.mcap", tmp_path / "b.log", "candump-x")
     convert(tmp_path / "b.log", tmp_path / "c.mcap", "mcap")
     assert digest(tmp_path / "a.mcap") == digest(tmp_path / "c.mcap")
 

@@ -61,7 +61,7 @@ def test_cooked_capture_has_directions(tmp_path, link_type, order):
         (classic(0x123, b"\1\2"), R),
         (flexible(0x123, 0, bytes(range(12))), T),
     ]
-    assert findings.notes == ["1 packets are not CAN frames, and are omitted"]
+    assert findings.notes == ["1 packets are not CAN frames (cooked), and are omitted"]
     if shutil.which("tshark") is not None:
         path = tmp_path / "some.pcap"
         told = subprocess.run(["tshark", "-r", path], capture_output=True, text=True, check=True)

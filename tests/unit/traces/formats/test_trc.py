@@ -2,9 +2,11 @@
 
 import pytest
 
+from motorhil.harness.recording.conversion import convert
 from motorhil.traces import can_frame
 from motorhil.traces.can_frame import classic, flexible, remote
-from motorhil.traces.formats.frames import Findings, read_lines
+from motorhil.traces.formats.frames import Findings, Frame, read_lines
+from motorhil.traces.formats.registry import open_source, record_frames
 from motorhil.traces.formats.trc import TrcReader
 from motorhil.traces.schema import Direction
 
@@ -95,3 +97,29 @@ def test_bytes_beyond_8_are_reported_frame_is_kept():
     frames, findings = read(*HEAD_2, "1 0.0 DT 1 0000 Rx - 10 " + "00 " * 8 + "77 E4")
     assert frames[0].frame == classic(0, bytes(8))
     assert findings.problems == [(4, "after 8 bytes of data there are '77 E4'")]
+
+
+def test_file_of_one_bus_has_what_savvycan_expects(tmp_path):
+    """SavvyCAN, framefileio.cpp: PCAN in the first 25 lines, version 2.0, rows of 42 characters."""
+    frames = [
+        Frame(1_000_056_000, "can0", classic(0x123, b"\1"), R),
+        Frame(1_001_000_000, "can0", classic(EXT, bytes(range(8))), T),
+        Frame(1_002_000_000, "can0", classic(5, b""), R),
+    ]
+    record_frames(tmp_path / "a.mcap", frames, {})
+    convert(str(tmp_path / "a.mcap"), str(tmp_path / "a.trc"), "trc")
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    assert lines[0] == ";$FILEVERSION=2.0"
+    assert any("PCAN" in line for line in lines[:25])
+    rows = [line for line in lines if not line.startswith(";")]
+    assert all(len(row) > 41 for row in rows)
+    tokens = [row.split() for row in rows]
+    assert [float(row[1]) for row in tokens] == [0.056, 1.0, 2.0]
+    assert [row[3] for row in tokens] == ["0123", f"{EXT & 0x1FFFFFFF:08X}", "0005"]
+    assert [row[4] for row in tokens] == ["Rx", "Tx", "Rx"]
+    assert [(int(row[5]), bytes.fromhex("".join(row[6:]))) for row in tokens] == [
+        (1, b"\1"),
+        (8, bytes(range(8))),
+        (0, b""),
+    ]
+    assert list(open_source(tmp_path / "a.trc").frames(Findings())) == frames
