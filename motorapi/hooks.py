@@ -357,7 +357,7 @@ class MotorHooks(Device, ABC):
 
     # ---- direct hardware access ----
 
-    def _open_low_level(self) -> object:
+    def _open_low_level(self) -> Any:  # an adaptation names its class
         """Return the hardware object for exclusive use by the application.
 
         Called in a transaction, at rest and without readers. The own activity of the hardware
