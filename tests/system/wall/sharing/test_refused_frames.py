@@ -54,7 +54,6 @@ def test_refused_frame_names_the_owner_of_the_newer_token(motor, tmp_path):
                 with pytest.raises(
                     MotorBusyError, match=r"node 1 is held by shared_drive.py\[\d+\] for rescue"
                 ):
-                    motor.reset_fault()
                     motor.home()
         finally:
             other.end()
