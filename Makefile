@@ -19,17 +19,17 @@ DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: help demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: help install demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
 demo: $(READY)  ## the rover manoeuvre on emulated drives; writes out/demo.mcap; PURE=1 without a compiler
 ifeq ($(PURE),1)
-	$(BIN)/motorhil demo
+	MOTORHIL_PURE=1 $(BIN)/motorhil demo
 else
 	@source=$(SOURCE); \
 	if $(built); then exec $(COMPILED)/bin/motorhil demo; fi; \
-	$(BIN)/motorhil demo || exit; \
+	MOTORHIL_PURE=1 $(BIN)/motorhil demo || exit; \
 	if ! command -v $${CC:-cc} > /dev/null; then \
 	    echo "pure Python cores: no C compiler here ($${CC:-cc})"; \
 	elif [ "$$(cat build/.failed 2>/dev/null)" = "$$source" ]; then \
@@ -95,6 +95,9 @@ format: $(READY)  ## formats the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+install: $(READY)  ## the command motorhil, in the environment .venv
+	@echo "next: . $(BIN)/activate"
+
 # As a path: a folder motorhil in the current directory, such as the clone itself, hides no package.
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -113,9 +116,10 @@ SOURCE = $$(find -L $(PACKAGES) setup.py pyproject.toml requirements.lock -type 
     -exec sha256sum {} + | LC_ALL=C sort | sha256sum | cut -c1-64)
 built = case "$$(cat $(COMPILED)/.source 2>/dev/null)" in "$$source "[$(OPTIMISE)-3]) true;; *) false;; esac
 
-compiled: $(READY)  ## the hot cores as C extensions, in an environment of their own
-	@source=$(SOURCE); $(built) || { $(MAKE) --no-print-directory build-compiled && \
-	    echo "$$source $(OPTIMISE)" > $(COMPILED)/.source; }
+compiled: $(READY)  ## the hot cores as C extensions; .venv/bin/motorhil takes them
+	@source=$(SOURCE); proof=$$($(BIN)/python -m motorhil.compiled); \
+	{ $(built) || { $(MAKE) --no-print-directory build-compiled && \
+	    echo "$$source $(OPTIMISE)" > $(COMPILED)/.source; }; } && echo "$$proof" > $(COMPILED)/.proof
 
 # Built from a copy, for a .so beside the sources would hide them; with the dependencies of .venv.
 # What was built before is used again, as long as the same modules are compiled in the same way.

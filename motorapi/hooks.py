@@ -43,7 +43,7 @@ from typing import Any, Protocol, final
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
-from motorhil.motorapi.errors import MotorError, PluginError, UnsupportedError
+from motorhil.motorapi.errors import DeadlineExceeded, MotorError, PluginError, UnsupportedError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
@@ -121,10 +121,14 @@ class Hooks:
 
 def _guarded(motor: "MotorHooks", name: str) -> Any:
     """Return a call of the hook, which is looked up by its name each time."""
+    ownership = motor._physical.ownership  # noqa: SLF001  (of the class below)
 
     def call(*args: Any, **kwargs: Any) -> Any:
         try:
             return getattr(motor, name)(*args, **kwargs)
+        except DeadlineExceeded:
+            ownership.refusal_check()  # then names the owner instead
+            raise
         except MotorError:
             raise
         except Exception as error:
@@ -371,7 +375,7 @@ class MotorHooks(Device, ABC):
 
     # ---- direct hardware access ----
 
-    def _open_low_level(self) -> object:
+    def _open_low_level(self) -> Any:  # an adaptation names its class
         """Return the hardware object for exclusive use by the application.
 
         Called in a transaction, at rest and without readers. The own activity of the hardware

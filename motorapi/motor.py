@@ -28,7 +28,7 @@ names the holder.
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar, cast, final
 
 from motorhil.motorapi.commands import (
     ControlMode,
@@ -61,6 +61,14 @@ if TYPE_CHECKING:
     from motorhil.motorapi.trajectory import Argument
 
 _HOMING_TIMEOUT_S: Final = 60.0
+
+_HardwareT_co = TypeVar("_HardwareT_co", covariant=True)
+
+
+class _WithHardware(Protocol[_HardwareT_co]):
+    """A motor with the class of its hardware object: what its `_open_low_level` returns."""
+
+    def _open_low_level(self) -> _HardwareT_co: ...
 
 
 class Motor(MotorHooks):
@@ -538,15 +546,17 @@ class Motor(MotorHooks):
     # ---- direct hardware access ----
 
     @final
-    def low_level(self, *, timeout_s: float | None = None) -> AbstractContextManager[Any]:
+    def low_level(
+        self: _WithHardware[_HardwareT_co], *, timeout_s: float | None = None
+    ) -> AbstractContextManager[_HardwareT_co]:
         """Return a context with exclusive hardware access: `with motor.low_level() as hardware:`.
 
         Inside the block no other part of the interface accesses the hardware, for any logical motor
         including this one. Operations and stops are refused; readings return the last value
         received, or are refused; see `motorhil.motorapi.motor`. The hardware object is for this
-        thread
-        only. Afterwards nothing is assumed of the hardware: the next start writes all its settings.
-        A nested block of the same motor has no effect.
+        thread only. Type checkers know its class from the class of the motor. Afterwards nothing is
+        assumed of the hardware: the next start writes all its settings. A nested block of the same
+        motor has no effect.
 
         Args:
             timeout_s: timeout, first come first served, for other low-level access and for the end
@@ -557,7 +567,9 @@ class Motor(MotorHooks):
             StateError: a motion of this one is active.
             UnsupportedError: the adaptation does not offer its hardware object.
         """
-        return self.__logical.low_level(check_timeout(timeout_s))
+        own = cast(Motor, self).__logical  # noqa: SLF001  (its own: the type of self hides it)
+        access = own.low_level(check_timeout(timeout_s))
+        return cast(AbstractContextManager[_HardwareT_co], access)
 
     # ---- internal ----
 

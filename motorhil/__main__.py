@@ -3,11 +3,20 @@
 import os
 import sys
 import threading
+from pathlib import Path
 
 
 def start() -> int:
-    """Run the command line and return its exit status; handle Ctrl-C even during imports."""
+    """Run the command line and return its exit status; handle Ctrl-C even during imports.
+
+    The command `motorhil` of a clone takes its compiled cores; `python -m motorhil` does not.
+    """
     try:
+        clone = Path(__file__).absolute().parents[1]
+        if (clone / ".venv-compiled").exists() and Path(sys.argv[0]).name == "motorhil":
+            from motorhil.compiled import run_compiled
+
+            run_compiled(clone)
         from motorhil.harness.cli.main import main
     except KeyboardInterrupt:
         sys.stderr.write("motorhil: interrupted\n")

@@ -254,10 +254,14 @@ class EmulatedBus(can.BusABC):
             return
         if self._is_shutdown:
             self._check_open()
-        newer = self._hub.stale.get(resource)
+        self.check_token(resource, token)
+        self._hub.send_fenced(frame, resource, token)
+
+    def check_token(self, resource: int, token: int) -> None:
+        """Raise MotorBusyError if the hub has refused frames with this token; names the owner."""
+        newer = None if self._hub is None else self._hub.stale.get(resource)
         if newer is not None and token < newer[0]:
             raise _overtaken(f"{self.channel} node {resource & 0xFF}", token, newer)
-        self._hub.send_fenced(frame, resource, token)
 
     def announce_ownership(self, resource: int, action: int, token: int, **facts: Any) -> None:
         """Announce who owns a motor, to the hub or to the open rig.

@@ -111,6 +111,31 @@ class LockDirectory:
         finally:
             os.close(directory)
 
+    def last_used(self) -> list[tuple[str, float]]:
+        """Return (name, time of the last change [s], as `time.time`) of the files, oldest first.
+
+        Raises as `names`.
+        """
+        directory, _ = self._open_directory(make=False)
+        try:
+            with os.scandir(directory) as entries:
+                found = [
+                    (one.name, one.stat(follow_symlinks=False).st_mtime)
+                    for one in entries
+                    if one.is_file(follow_symlinks=False)
+                ]
+        finally:
+            os.close(directory)
+        return sorted(found, key=lambda one: one[1])
+
+    def remove(self, name: str) -> None:
+        """Remove a file; its lock is held meanwhile. Raises as `names`."""
+        directory, _ = self._open_directory(make=False)
+        try:
+            os.unlink(name, dir_fd=directory)
+        finally:
+            os.close(directory)
+
     def _open_directory(self, make: bool) -> tuple[int, bool]:
         """Return (descriptor, True if a group shares the directory)."""
         if make and self._is_default:

@@ -35,7 +35,7 @@ Locked bytes (never written):
 
 Written bytes, in blocks of 512:
 
-    0           header: magic, the epoch, the first valid place, the epoch being ended
+    0           header: magic, check value, epoch, the first valid place, the epoch being ended
     1 to 16     one per line: present or last holder, its lease, the last released token
     17 to 144   waiters, by place
     145 to 160  takeovers, by the lost token
@@ -50,11 +50,13 @@ import struct
 import threading
 import weakref
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.witness import Rival, Witness
 
 MAGIC: Final = b"motorhi2"
 MAGIC_BEFORE: Final = b"motorhil"
@@ -76,7 +78,12 @@ NUMBER: Final = struct.Struct("<Q")
 
 EPOCH_AT: Final = 488
 """Offset of the epoch, followed by the first valid place and the epoch being ended."""
-EPOCH: Final = struct.Struct("<QQ")
+_EPOCH: Final = struct.Struct("<QQ")
+_CHECKED_AT: Final = EPOCH_AT - 8
+"""Offset of the check value of epoch and first place, which are before the epoch."""
+_CHECKED: Final = struct.Struct("<QQQ")
+_READS_MAX: Final = 100
+"""The number of reads before an epoch counts as damaged: a read can meet a write."""
 HEADER: Final = struct.Struct("<QQQ")
 INTENT_AT: Final = EPOCH_AT + 16
 
@@ -306,6 +313,41 @@ def require_lock(fd: int, name: str) -> None:
         raise UsageError(f"{name}: not a lock file; remove it")
 
 
+def _check_of(epoch: int, base: int) -> int:
+    return zlib.crc32(_EPOCH.pack(epoch, base)) ^ zlib.crc32(bytes(_EPOCH.size))  # 0 of a new file
+
+
+def write_epoch(fd: int, epoch: int, base: int) -> None:
+    """Publish an epoch and its first valid place, in one write."""
+    os.pwrite(fd, _CHECKED.pack(_check_of(epoch, base), epoch, base), _CHECKED_AT)
+
+
+def read_epoch(fd: int, name: str) -> tuple[int, int]:
+    """Return (epoch, its first valid place) of an open lock file.
+
+    Raises:
+        UsageError: the file is damaged; says how to replace it.
+    """
+    epoch = 0
+    for _ in range(_READS_MAX):
+        data = os.pread(fd, _CHECKED.size, _CHECKED_AT)
+        if len(data) < _CHECKED.size:
+            is_new = not os.pread(fd, len(MAGIC), 0).strip(b"\0")
+            if is_new and find(fd, fcntl.F_RDLCK, SPAN, PLACES - SPAN) is None:
+                return 0, 0
+            problem = f"the file ends within its header of {BLOCK} bytes, and was in use"
+        else:
+            check, epoch, base = _CHECKED.unpack(data)
+            if check == _check_of(epoch, base):
+                return epoch, base
+            problem = f"epoch {epoch} and its check value {check:X}h do not match"
+        os.sched_yield()
+    raise UsageError(
+        f"{name}: damaged lock file; {problem}; end the programs that use this lock,"
+        " then remove the file"
+    )
+
+
 @final
 class LockFile:
     """One open file of a lock, for a holder or a waiter. Only the two wait methods block.
@@ -319,11 +361,22 @@ class LockFile:
             lock.
     """
 
-    __slots__ = ("__weakref__", "_epoch_bytes", "_fd", "_last", "_row", "base", "epoch", "name")
+    __slots__ = (
+        "__weakref__",
+        "_epoch_bytes",
+        "_fd",
+        "_last",
+        "_row",
+        "_witness",
+        "base",
+        "epoch",
+        "name",
+    )
 
     def __init__(self, directory: LockDirectory, name: str) -> None:
         self._fd = -1
         self._last: tuple[int, bytes, bool] | None = None
+        self._witness: Witness | None = None
         self.name: Final = str(directory.path / name)
         with _forking:
             fd = directory.open(name)
@@ -341,12 +394,19 @@ class LockFile:
         """Close the file and release its locks; closing again does nothing."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
+            if self._witness is not None:
+                self._witness.close()
             os.close(fd)
 
     @property
     def is_closed(self) -> bool:
         """True if the file was closed, as in a forked child."""
         return self._fd < 0
+
+    @property
+    def is_new(self) -> bool:
+        """True if the lock was never held."""
+        return os.fstat(self._fd).st_size == 0
 
     @property
     def is_gone(self) -> bool:
@@ -361,8 +421,7 @@ class LockFile:
 
     def look_up(self) -> bool:
         """Read the epoch. Return True if it has changed."""
-        data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
-        epoch, base = EPOCH.unpack(data) if len(data) == EPOCH.size else (0, 0)
+        epoch, base = read_epoch(self._fd, self.name)
         if epoch == self.epoch and base == self.base:
             return False
         self._note_epoch(epoch, base)
@@ -455,6 +514,8 @@ class LockFile:
         """Release the lock and the place."""
         self._last = None
         if self._fd >= 0:
+            if self._witness is not None:
+                self._witness.drop()
             fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _UNLOCK_ALL)
 
     def let_go_of_places(self) -> None:
@@ -474,6 +535,23 @@ class LockFile:
         except (BlockingIOError, PermissionError):
             return False
         return True
+
+    # ---- exclusion of other files under the same name ----
+
+    def witness(self, is_live: Callable[[Rival], bool] | None = None) -> bool:
+        """Witness that this file is held. Return False if another file of the name is held.
+
+        The holder calls it before it checks `is_gone`. See `Witness.set`.
+        """
+        if self._witness is None:
+            with _forking:  # a child that shares the descriptor would keep the witness alive
+                self._witness = Witness(self.name, os.fstat(self._fd).st_ino)
+        return self._witness.set(is_live)
+
+    def drop_witness(self) -> None:
+        """Withdraw the witness of a lock that was lost."""
+        if self._witness is not None:
+            self._witness.drop()
 
     # ---- records of holder and waiters ----
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.lock_file import (
     BLOCK,
-    EPOCH,
-    EPOCH_AT,
     PLACES,
     RECORD_SIZE,
     TAKEOVERS,
@@ -27,22 +26,29 @@ from motorhil.motorapi.locking.lock_file import (
     first_places,
     held_at,
     line_block,
+    read_epoch,
     require_lock,
     takeover_block,
     unpack_record,
     unpack_takeover,
     waiter_block,
 )
+from motorhil.motorapi.locking.witness import Rival
 
 _READS_MAX: Final = 20
 
 
 @final
 class LockReader:
-    """A lock file, open for reading."""
+    """A lock file, open for reading.
 
-    def __init__(self, fd: int) -> None:
+    Raises:
+        UsageError: the file is not a lock file, or damaged; says how to replace it.
+    """
+
+    def __init__(self, fd: int, name: str) -> None:
         self._fd = fd
+        self._name: Final = name
 
     def close(self) -> None:
         """Close the file; closing again does nothing."""
@@ -50,17 +56,13 @@ class LockReader:
         if fd >= 0:
             os.close(fd)
 
-    def require_lock(self, name: str) -> None:
+    def require_lock(self) -> None:
         """Raise UsageError if the file is not a lock file."""
-        require_lock(self._fd, name)
+        require_lock(self._fd, self._name)
 
     def _epoch(self) -> tuple[int, int]:
         """Return (epoch, the first valid place in it)."""
-        data = os.pread(self._fd, EPOCH.size, EPOCH_AT)
-        if len(data) < EPOCH.size:
-            return 0, 0
-        epoch, base = EPOCH.unpack(data)
-        return epoch, base
+        return read_epoch(self._fd, self._name)
 
     def line(self) -> Line:
         """Return the block of the present epoch: holder and lease."""
@@ -234,9 +236,9 @@ def look(directory: LockDirectory, name: str) -> LockView:
     fd = directory.open(name, to_read=True)
     if fd is None:
         return LockView(name, name, None, ())
-    reader = LockReader(fd)
+    reader = LockReader(fd, str(directory.path / name))
     try:
-        reader.require_lock(str(directory.path / name))
+        reader.require_lock()
         record = reader.holder()
         holder = Occupant(record) if record is not None or reader.is_held() else None
         waiters = tuple((place, Occupant(one)) for place, one in reader.waiters())
@@ -266,9 +268,22 @@ def find_takeover(
     fd = directory.open(name, to_read=True)
     if fd is None:
         return None
-    reader = LockReader(fd)
+    reader = LockReader(fd, str(directory.path / name))
     try:
         return reader.takeover_of(lost, is_done=is_done)
+    finally:
+        reader.close()
+
+
+def read_rival(rival: Rival) -> Occupant | None:
+    """Return the holder of another file of the same name; None: it has lost the lock there."""
+    if rival.fd is None:
+        return Occupant(None)
+    reader = LockReader(rival.fd, f"lock file of pid {rival.pid}")
+    try:
+        return Occupant(reader.holder()) if reader.is_held() else None
+    except UsageError:
+        return Occupant(None)
     finally:
         reader.close()
 

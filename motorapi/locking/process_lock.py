@@ -35,9 +35,12 @@ from motorhil.motorapi.locking.lock_status import (
     ThisProcess,
     find_takeover,
     look,
+    read_rival,
 )
 from motorhil.motorapi.locking.takeover import Attempt, TakeoverAttempt
+from motorhil.motorapi.locking.unused_files import remove_unused
 from motorhil.motorapi.locking.waiter_thread import QueueWatcher
+from motorhil.motorapi.locking.witness import Rival
 from motorhil.motorapi.runtime.api import Runtime
 
 _TAKER_PATIENCE_NS: Final = 50_000_000
@@ -177,6 +180,7 @@ class LockHandle:
             and not self._file.is_current
         ):
             self._loss = self._lock.loss_of(self.token)
+            self._file.drop_witness()
         return self._loss
 
     @property
@@ -483,7 +487,9 @@ def _remedy(who: Occupant) -> str:
     return f"continue it (kill -CONT {pid}), or end it (kill -9 {pid})"
 
 
-def _busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) -> MotorBusyError:
+def _busy_error(
+    runtime: Runtime | None, asker: str, who: Occupant, doing: str, remedy: str = ""
+) -> MotorBusyError:
     """Return the error for a refused request; `doing` describes the activity of the holder."""
     record = who.record
     now_ns = 0 if runtime is None else runtime.now_ns()
@@ -494,7 +500,23 @@ def _busy_error(runtime: Runtime | None, asker: str, who: Occupant, doing: str) 
         since=who.since,
         purpose="" if record is None else record.purpose,
         process=None if record is None else (record.pid, record.program),
-        remedy=_remedy(who),
+        remedy=remedy or _remedy(who),
+    )
+
+
+def _removed_error(runtime: Runtime, asker: str, rival: Rival, who: Occupant) -> MotorBusyError:
+    """Return the error for a lock that is held in another file of the same name."""
+    doing = ", whose lock file was removed or moved,"
+    if who.record is not None:
+        how = _remedy(who) or f"release the motor there, or end the program (kill {rival.pid})"
+        return _busy_error(runtime, asker, who, doing, how)
+    if rival.pid:
+        holder, how = f"pid {rival.pid}", f"end it (kill {rival.pid})"
+    else:
+        holder = "a process of another user or container"
+        how = f"as root, find it (grep -l {rival.byte} /proc/[0-9]*/fdinfo/*)"
+    return MotorBusyError(
+        motor=asker, holder=holder + doing, since_ns=0, since="an unknown time", remedy=how
     )
 
 
@@ -569,21 +591,15 @@ class ProcessLock:
             hold.again()
             return hold
         lease_ns = 0 if lease_s is None else round(lease_s * 1e9)
+        asked = runtime, purpose, timeout_s, asker, wait, lease_ns, take_over
         while True:
             file = self._take_file()
             try:
                 takeover: TakeoverAttempt | None = None
                 if take_over or not file.take_at_once():
-                    request = LockRequest(
-                        runtime,
-                        timeout_s,
-                        asker or self.label,
-                        wait or _plain_wait,
-                        lease_ns,
-                        take_over,
-                        lambda number, reason: self._record(number, purpose, reason),
-                    )
-                    takeover = self._take(file, request)
+                    takeover = self._take(file, self._request(*asked))
+                if not file.witness():
+                    self._await_rival(file, self._request(*asked), takeover)
                 if not file.is_gone:
                     hold = self._publish(file, purpose, lease_ns, takeover, owner)
                     if hold is not None:
@@ -597,11 +613,61 @@ class ProcessLock:
                 raise
             file.close()  # the file was removed: new requests use a new file
 
+    def _request(
+        self,
+        runtime: Runtime,
+        purpose: str,
+        timeout_s: float | None,
+        asker: str,
+        wait: Wait | None,
+        lease_ns: int,
+        take_over: bool,
+    ) -> LockRequest:
+        return LockRequest(
+            runtime,
+            timeout_s,
+            asker or self.label,
+            wait or _plain_wait,
+            lease_ns,
+            take_over,
+            lambda number, reason: self._record(number, purpose, reason),
+        )
+
     def _take(self, file: LockFile, request: LockRequest) -> TakeoverAttempt | None:
         """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
         acquisition = _Acquisition(file, request, self._watcher, self._mutex, self.look)
         acquisition.take()
         return acquisition.takeover
+
+    def _await_rival(
+        self, file: LockFile, request: LockRequest, takeover: TakeoverAttempt | None
+    ) -> None:
+        """Wait until no other file of this name is held, or this one is removed too.
+
+        Raises:
+            MotorBusyError: the file of the holder was removed or moved; names the holder.
+        """
+        asker, runtime, timeout_s = request.asker, request.runtime, request.timeout_s
+        refusals: list[MotorBusyError] = []
+
+        def is_live(rival: Rival) -> bool:
+            who = read_rival(rival)
+            if who is not None:
+                refusals.append(_removed_error(runtime, asker, rival, who))
+            return who is not None
+
+        def is_alone() -> bool:
+            return file.is_gone or file.witness()
+
+        if file.is_gone or file.witness(is_live):
+            return
+        if can_share_time(runtime) and (timeout_s is None or timeout_s > 0.0):
+            request.wait(runtime, is_alone, timeout_s)
+        if file.is_gone or file.witness(is_live):
+            return
+        if takeover is not None:
+            file.tell_release(takeover.token)
+        raise refusals[-1]
 
     @property
     def hold(self) -> LockHandle | None:
@@ -660,8 +726,8 @@ class ProcessLock:
     def loss_by_removal(self) -> Loss | None:
         """Return the loss to a process with a new file, after the old file was removed, or None."""
         view, reason = self.look(), "its lock file had been removed"
-        if view.holder is not None:
-            return _loss(view.holder, reason)
+        if view.holder is not None and view.holder.record is not None:
+            return _loss(view.holder, reason)  # another one waits until this process releases it
         return Loss("a process that has released it", "", reason) if view.token else None
 
     def give_back(self, file: LockFile) -> None:
@@ -681,7 +747,10 @@ class ProcessLock:
             spare.close()
 
     def _open(self) -> LockFile:
-        return LockFile(self._directory, self.name)
+        file = LockFile(self._directory, self.name)
+        if file.is_new:  # the directory grows
+            remove_unused(self._directory)
+        return file
 
     def _take_file(self) -> LockFile:
         with self._mutex:

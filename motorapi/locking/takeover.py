@@ -26,8 +26,6 @@ from typing import Final, final
 
 from motorhil.motorapi.locking.lock_file import (
     BLOCK,
-    EPOCH,
-    EPOCH_AT,
     INTENT_AT,
     LEASE,
     LINES,
@@ -44,6 +42,7 @@ from motorhil.motorapi.locking.lock_file import (
     line_block,
     pack_takeover,
     takeover_block,
+    write_epoch,
 )
 
 
@@ -150,7 +149,7 @@ class TakeoverAttempt:
         else:
             return Attempt.FULL
         self._write(old, new)
-        os.pwrite(file.fd, EPOCH.pack(new, base), EPOCH_AT)
+        write_epoch(file.fd, new, base)
         file.look_up()
         return Attempt.TAKEN
 

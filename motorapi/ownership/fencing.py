@@ -67,6 +67,9 @@ class FencedBus(Protocol):
     def transmit_fenced(self, frame: bytes, resource: int, token: int) -> None:
         """Queue the frame; the bus refuses it if the resource has a greater token."""
 
+    def check_token(self, resource: int, token: int) -> None:
+        """Raise MotorBusyError if the bus has refused frames with this token; names the owner."""
+
 
 @runtime_checkable
 class AnnouncingBus(Protocol):
@@ -140,6 +143,15 @@ class NodeFence:
             self.runtime.send(self._bus, frame)
         else:
             self._transmit(frame, self._resource, token)
+
+    def check(self) -> None:
+        """Raise MotorBusyError if the bus has refused frames of the present ownership.
+
+        A refused frame has no answer. So whoever missed an answer calls this for the reason.
+        """
+        hold = self.lock.hold
+        if hold is not None and isinstance(self._bus, FencedBus):
+            self._bus.check_token(self._resource, hold.token)
 
     def bound(self, purpose: str) -> "BoundFence":
         """Return a Fence bound to the present ownership, or to a new one, for recurring frames.

@@ -227,6 +227,7 @@ class Ownership:
         is_orphan: True if the previous owner died with the motor, or lost it, so that it may still
             be moving; the next owner brings it to rest first, and clears this.
         listeners: called with each event of the ownership; see `motorhil.motorapi.ownership.claim`.
+        refusal_check: raises MotorBusyError if the bus has refused frames of this ownership.
     """
 
     def __init__(
@@ -237,6 +238,7 @@ class Ownership:
         self.lock: Final = lock
         self.absences = 0
         self.is_orphan = False
+        self.refusal_check: Callable[[], None] = lambda: None
         self._notifier: Final = OwnershipNotifier()
         self.listeners: Final = self._notifier.listeners
         self._interrupt: Final = interrupt

@@ -185,6 +185,7 @@ def environment(folder):
         "PYTHONPATH": os.pathsep.join(filter(None, [str(folder / "site"), kept.get("PYTHONPATH")])),
         "INSTALLED": str(folder / "site"),
         "PYTHONUNBUFFERED": "1",
+        "MOTORHIL_PURE": "1",  # whatever was compiled in this clone
     }
 
 

@@ -133,6 +133,7 @@ class SharedNode:
         fence = NodeFence(ownership.lock, ownership, self._runtime, bus, node.node_id)
         sdo.fence = node.bus.fences[node.node_id] = fence
         announce(ownership, bus, node.node_id)
+        ownership.refusal_check = fence.check
         return fence
 
     @property

@@ -305,7 +305,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         self._begun(Wanted.REST)
         self.hardware.post_stop(quick=True)
 
-    def _open_low_level(self) -> object:
+    def _open_low_level(self) -> HardwareT:
         return self.hardware
 
     def _close_low_level(self) -> None:

@@ -152,18 +152,6 @@ def test_waiters_behind_a_paused_holder_are_prompt_after_it(programs, lock, wall
     assert holder.ask("held").startswith("held False")
 
 
-def test_holder_of_a_removed_file_cannot_write_after_another(programs, lock, wall, base, tmp_path):
-    holder = programs()
-    holder.ask("take a")
-    (tmp_path / "pan").unlink()
-    assert holder.ask("write") == "wrote 1"  # no other process has it
-    with lock.acquire(wall, "mine") as hold:
-        assert hold.token > base + 1
-        told = holder.ask("write")
-        assert told.startswith("busy the pan was taken over (its lock file had been removed) by")
-    assert holder.ask("release") == "released"
-
-
 def test_taker_killed_at_any_step_leaves_it_held_or_abandoned(programs, lock, wall):
     holder = programs()
     outcomes = []

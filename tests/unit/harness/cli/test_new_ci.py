@@ -243,9 +243,31 @@ def test_wrong_usage_of_helper_is_reported(tmp_path, options):
 def test_own_jobs_run_existing_targets(job):
     text = (CHECKOUT / job).read_text()
     scripts = re.findall(r"\.ci/[\w-]+", text)
-    assert set(scripts) == {".ci/run", ".ci/on-bus"}
+    assert set(scripts) == {".ci/run", ".ci/on-bus", ".ci/oldest"}
     for script in scripts:
         assert (CHECKOUT / script).stat().st_mode & 0o111, script
     helper = "harness/examples/ci/vcan-or-hub"
     assert helper in (CHECKOUT / ".ci/on-bus").read_text()
     assert (CHECKOUT / helper).read_bytes() == HELPER.read_bytes()
+
+
+def test_own_jobs_run_every_supported_python():
+    about = (CHECKOUT / "pyproject.toml").read_text()
+    supported = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', about)
+    assert supported[0] == re.search(r'requires-python = ">=(.*)"', about)[1]
+    wheels = re.search(r"^build = (\[.*\])$", about, re.MULTILINE)[1]
+    assert re.findall(r"cp3(\d+)-", wheels) == [one.split(".")[1] for one in supported]
+    for job, key in ((".github/workflows/ci.yml", "python"), (".gitlab-ci.yml", "PYTHON_VERSION")):
+        matrix = re.search(rf"{key}: (\[.*\])$", (CHECKOUT / job).read_text(), re.MULTILINE)[1]
+        assert re.findall(r'"(.*?)"', matrix) == supported
+
+
+def test_oldest_dependency_is_tested_and_the_newest_locked():
+    about = (CHECKOUT / "pyproject.toml").read_text()
+    oldest, end = re.search(r'"pymodbus>=([\d.]+),<([\d.]+)"', about).groups()
+    locked = re.search(r"^pymodbus==([\d.]+)", (CHECKOUT / "requirements.lock").read_text(), re.M)[
+        1
+    ]
+    numbers = [tuple(map(int, one.split("."))) for one in (oldest, locked, end)]
+    assert numbers[0] < numbers[1] < numbers[2] == (numbers[1][0], numbers[1][1] + 1)
+    assert "pymodbus>=" in (CHECKOUT / ".ci/oldest").read_text()

@@ -1,12 +1,14 @@
 """Takeovers of a lock, with other events in the middle of them."""
 
+import os
 import threading
 
 import pytest
 
-from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
-from motorhil.motorapi.locking.lock_file import LINES, LockFile
+from motorhil.motorapi.locking.lock_file import EPOCH_AT, LINES, LockFile
+from motorhil.motorapi.locking.lock_status import list_locks
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.locking.takeover import Attempt, TakeoverAttempt
 from motorhil.motorapi.runtime import wall as wall_runtime
@@ -351,3 +353,50 @@ def test_loss_of_an_old_token_has_no_details(locks, runtime):
         c.acquire(runtime, "c").release()
     assert not hold.is_held
     assert hold.lost_to.startswith("an unknown process")
+
+
+def damage(path, data, at):
+    with path.open("r+b") as file:
+        file.seek(at)
+        file.write(data)
+
+
+@pytest.mark.parametrize("was_taken_over", [False, True])
+@pytest.mark.parametrize(
+    ("data", "at"),
+    [
+        (b"\xff" * 8, EPOCH_AT),
+        (b"\x09" + b"\0" * 7, EPOCH_AT),
+        (b"\xff" * 8, EPOCH_AT + 8),  # the first valid place
+        (b"\xff" * 8, EPOCH_AT - 8),  # the check value
+    ],
+)
+def test_damaged_epoch_raises_with_the_remedy(locks, runtime, tmp_path, was_taken_over, data, at):
+    a, b, c, d = locks
+    hold = a.acquire(runtime, "a")
+    if was_taken_over:
+        first, hold = hold, b.acquire(runtime, "b", take_over=True)
+        assert not first.is_held
+    damage(tmp_path / "pan", data, at)
+    words = f"{tmp_path}/pan: damaged lock file; epoch .* remove the file"
+    for action in (
+        c.look,
+        lambda: c.acquire(runtime, "c"),
+        lambda: list_locks(LockDirectory(tmp_path)),
+    ):
+        with pytest.raises(UsageError, match=words):
+            action()
+    (tmp_path / "pan").unlink()
+    hold.release()
+    d.acquire(runtime, "d").release()
+
+
+@pytest.mark.parametrize("size", [0, 8, 490])
+def test_file_cut_off_while_in_use_raises(locks, runtime, tmp_path, size):
+    a, b, c, _ = locks
+    a.acquire(runtime, "a")
+    hold = b.acquire(runtime, "b", take_over=True)
+    os.truncate(tmp_path / "pan", size)
+    with pytest.raises(UsageError, match=f"{tmp_path}/pan: damaged lock file; the file ends"):
+        c.acquire(runtime, "c")
+    hold.release()

@@ -13,6 +13,7 @@ from motorhil.motorapi import (
     UsageError,
     WallRuntime,
 )
+from motorhil.motorapi.locking import witness
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from tests.support.motors.plain import PlainBus, PlainHwMotor, PlainMotor
@@ -46,7 +47,8 @@ def test_takeover_on_demand_refuses_the_loser_by_name(world, logical):
 
 
 @pytest.mark.parametrize("is_released", [False, True])
-def test_owner_in_a_removed_lock_file_is_told_of_the_next(tmp_path, is_released):
+def test_owner_in_a_removed_lock_file_is_told_of_the_next(tmp_path, is_released, monkeypatch):
+    monkeypatch.setattr(witness, "PLACE", "/nonexistent")  # or the next one would be refused
     runtime, directory = WallRuntime(), LockDirectory(tmp_path)
 
     def motor(name):
