@@ -10,7 +10,7 @@ from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import Claims, run_clause
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
-from tests.support.correct_variants import VARIANTS, VENDORS, of_vendor, text_of
+from tests.conformance.variants import VARIANTS, VENDORS, of_vendor, text_of
 
 CLAUSES = all_clauses()
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"

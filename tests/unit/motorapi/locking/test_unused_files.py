@@ -1,7 +1,6 @@
 import os
 import pty
 import socket
-import time
 
 import pytest
 
@@ -41,7 +40,7 @@ def used(directory, runtime, tmp_path):
         elif how == "abandoned":
             hold._file.close()
         lock.close()
-        then_s = time.time() - age_s
+        then_s = (tmp_path / name).stat().st_mtime - age_s
         os.utime(tmp_path / name, (then_s, then_s))
         return hold
 
