@@ -1,0 +1,57 @@
+"""Attacks on the project, as programs: `make fuzz`, `make nightly`.
+
+python -m tests.attack [ATTACK ...] [--seed N] [--seconds S | --count N] [--first N]
+
+Without a name, all attacks run, each for `--seconds`. Exit status: 0 nothing was found, 1 something
+was, 2 wrong usage.
+"""
+
+import argparse
+import sys
+from importlib import import_module
+from typing import Final
+
+from tests.attack.campaign import Attack, Campaign
+
+ATTACKS: Final = {
+    "frames": "controllers",
+    "lies": "lying_medium",
+    "files": "damaged_files",
+    "locks": "lock_kills",
+    "recordings": "recorder_kills",
+    "hours": "growth",
+    "rigs": "growth",
+}
+"""The module of each attack, whose constant has the name of the attack in capitals."""
+
+
+def attack_named(name: str) -> Attack:
+    """Return the attack."""
+    module = import_module(f"tests.attack.{ATTACKS[name]}")
+    found: Attack = getattr(module, name.upper())
+    return found
+
+
+def main() -> int:
+    """Run the command and return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m tests.attack")
+    parser.add_argument("attacks", nargs="*", metavar="ATTACK", help=", ".join(ATTACKS))
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="default 1")
+    parser.add_argument("--seconds", type=float, default=30.0, metavar="S", help="default 30")
+    parser.add_argument("--count", type=int, metavar="N", help="this many units, whatever the time")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="begin at this attempt")
+    options = parser.parse_args()
+    unknown = [name for name in options.attacks if name not in ATTACKS]
+    if unknown:
+        parser.error(f"unknown attack {unknown[0]!r}; expected {', '.join(ATTACKS)}")
+    failed = False
+    for name in options.attacks or ATTACKS:
+        campaign = Campaign(attack_named(name), options.seed)
+        campaign.run(options.seconds, options.count, options.first)
+        print(campaign.summary(), flush=True)
+        failed = failed or bool(campaign.findings)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,303 @@
+"""Frames and bytes at every kind of emulated controller.
+
+A controller must raise nothing, ask for no call in the past, send a bounded number of frames for
+one input, and answer afterwards. The digest covers all that it sent, with its times: pure and
+compiled cores must have the same one.
+"""
+
+import hashlib
+import struct
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Final, final
+
+from motorhil.emulators.can.frame import RTR_FLAG
+from motorhil.emulators.cia401.node import IoNode
+from motorhil.emulators.cia401.node import build as build_io_node
+from motorhil.emulators.cia402.drive import build as build_drive
+from motorhil.emulators.controller import STUCK, Controller, ControllerContext
+from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
+from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.oriental_az.drive import build as build_oriental
+from motorhil.emulators.simulation.event_queue import EventQueue
+from motorhil.emulators.simulation.world import World
+from motorhil.harness.replay.device_node import build as build_recorded
+from tests.attack.campaign import Attack, Attempt, Done
+from tests.properties.fuzz.frames import Frames, frame
+from tests.support.cia402.stranger import LIGHT, OBJECTS
+
+EPISODE: Final = 1_000
+"""Number of inputs to one controller."""
+ANSWERS_MAX: Final = 300
+"""Frames for one input: a block upload of SDO has 127 segments, a queue of TPDOs and EMCYs more."""
+GOLDEN: Final = Path(__file__).parents[2] / "traces" / "golden"
+MS: Final = 1_000_000
+NODE: Final = 5
+UNIT: Final = 1
+REPLY_BY_NS: Final = 50 * MS
+_PAUSES_NS: Final = (0, 0, 1, 300_000, 2 * MS, 5 * MS, 20 * MS)
+_FUNCTIONS: Final = (0x03, 0x03, 0x06, 0x06, 0x10, 0x10, 0x17, 0x08, 0x2B, 0x01, 0x04)
+_VALUES: Final = (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF)
+_INPUTS: Final = (
+    *(("fault", 0x2310), ("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", 0.0)),
+    *(("supply_v", 24.0), ("supply_v", 5.0), ("power", 0.0), ("power", 1.0), ("encoder", 0.0)),
+)
+
+
+@final
+class Bare:
+    """A controller alone: its medium sends every frame at once."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        self.now_ns = 0
+        self.sent: list[bytes] = []
+        self.digest = hashlib.sha256()
+        controller.start(0)
+        self._drain()
+
+    def tell(self, data: bytes) -> None:
+        """Pass a frame to the controller now."""
+        self.controller.receive(data, self.now_ns)
+        self._drain()
+
+    def stimulate(self, name: str, value: float) -> None:
+        """Set an input, if the controller has it and accepts the value."""
+        with suppress(ValueError):
+            self.controller.stimulate(name, value, self.now_ns)
+        self._drain()
+
+    def run(self, duration_ns: int) -> None:
+        """Let time pass, deadline by deadline."""
+        end_ns = self.now_ns + duration_ns
+        due_ns = self.controller.next_deadline_ns()
+        calls = 0
+        while due_ns is not None and due_ns <= end_ns:
+            calls = 0 if due_ns > self.now_ns else calls + 1
+            assert calls < STUCK, f"expire at {self.now_ns} ns does not advance its deadline"
+            self.now_ns = max(due_ns, self.now_ns)
+            self.controller.expire(self.now_ns)
+            self._drain()
+            due_ns = self.controller.next_deadline_ns()
+        self.now_ns = end_ns
+
+    def _drain(self) -> None:
+        count = 0
+        frames = self.controller.take_output()
+        while frames:
+            for one in frames:
+                count += 1
+                assert count <= ANSWERS_MAX, f"more than {ANSWERS_MAX} frames for one input"
+                self.sent.append(one)
+                self.digest.update(b"%d " % self.now_ns + one)
+                self.controller.sent(one, self.now_ns)
+            frames = self.controller.take_output()
+        for level, text in self.controller.take_events():
+            self.digest.update(f"{level}{text}".encode())
+        due_ns = self.controller.next_deadline_ns()
+        assert due_ns is None or due_ns >= self.now_ns, (
+            f"the deadline {due_ns} ns is before now, {self.now_ns} ns"
+        )
+
+
+def _context() -> ControllerContext:
+    return ControllerContext("it", GOLDEN, 1)
+
+
+def _drive() -> Controller:
+    table = {"node_id": NODE, "objects": OBJECTS, "timing": {"boot_up_s": 0.01}, "plant": LIGHT}
+    return build_drive(table, _context())
+
+
+def _io_node() -> IoNode:
+    node = build_io_node({"node_id": NODE, "channels": 2, "plant": LIGHT}, _context())
+    assert isinstance(node, IoNode)
+    return node
+
+
+def _recorded(file: str, **settings: object) -> Controller:
+    return build_recorded({"recording": file, **settings}, _context())
+
+
+def _to(node: int, can_id: int, data: bytes) -> bytes:
+    """Return the frame, which is for NODE, for this node."""
+    if node != NODE and can_id & 0x7F == NODE:
+        can_id = can_id & ~0x7F | node
+    if node != NODE and can_id == 0 and data[1:] == bytes((NODE,)):
+        data = data[:1] + bytes((node,))
+    return frame(can_id, data)
+
+
+def attack_node(build: Callable[[], Controller], seed: str, own: int = NODE) -> Done:
+    """Send CAN frames to a node; then reset it and ask for its device type."""
+    bare = Bare(build())
+    dictionary = getattr(bare.controller, "od", None) or _io_node().od
+    bare.run(400 * MS)
+    bare.tell(frame(0x000, b"\x01\x00"))
+    for pause_ns, can_id, what in Frames(seed, dictionary).take(EPISODE):
+        bare.run(pause_ns)
+        if isinstance(what, bytes):
+            bare.tell(_to(own, can_id, what))
+        else:
+            name, _, value = str(what).partition(" ")
+            bare.stimulate(name, float(value))
+    reached = Counter(answers=len(bare.sent))
+    bare.run(1_000 * MS)
+    bare.sent.clear()
+    bare.tell(frame(0x000, b"\x81\x00"))
+    bare.run(1_000 * MS)
+    heard = [struct.unpack("<IB3x8s", one) for one in bare.sent]
+    node = next((can_id & 0x7F for can_id, _, _ in heard if can_id >> 7 == 14), own)
+    bare.sent.clear()
+    bare.tell(frame(0x600 + node, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
+    bare.run(REPLY_BY_NS)
+    answers = [one for one in bare.sent if one[:4] == struct.pack("<I", 0x580 + node)]
+    assert len(answers) == 1, f"1000h has {len(answers)} answers after reset node"
+    assert not any(one[3] & RTR_FLAG >> 24 for one in bare.sent)
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
+def pdus(dice: Random, addresses: list[int]) -> Iterator[bytes]:
+    """Yield requests around the addresses of a drive, valid ones and invalid ones."""
+    while True:
+        function = dice.choice(_FUNCTIONS) if dice.random() < 0.97 else dice.randrange(256)
+        address = (dice.choice(addresses) + dice.choice((0, 0, 0, 1))) & 0xFFFF
+        count = dice.choice((1, 1, 2, 4, 125))
+        values = b"".join(dice.choice(_VALUES).to_bytes(2, "big") for _ in range(count))
+        head = bytes((function,)) + address.to_bytes(2, "big")
+        if function == 0x06:
+            yield head + values[:2]
+        elif function == 0x10:
+            yield head + count.to_bytes(2, "big") + bytes((2 * count & 0xFF,)) + values
+        elif function == 0x17:
+            writes = count.to_bytes(2, "big") + bytes((2 * count & 0xFF,)) + values
+            yield head + b"\0\1" + address.to_bytes(2, "big") + writes
+        elif function == 0x2B:
+            yield bytes((function, 0x0E, dice.randrange(6), dice.randrange(8)))
+        else:
+            yield head + count.to_bytes(2, "big") + dice.randbytes(dice.choice((0, 0, 0, 3)))
+
+
+def damaged(dice: Random, data: bytes) -> bytes:
+    """Return data cut, extended, with a flipped bit, or quite different; mostly unchanged."""
+    chance = dice.random()
+    if chance < 0.02:
+        return data[: dice.randrange(len(data))]
+    if chance < 0.04:
+        return data + dice.randbytes(9)
+    if chance < 0.06:
+        place = dice.randrange(8 * len(data))
+        turned = int.from_bytes(data, "little") ^ 1 << place
+        return turned.to_bytes(len(data), "little")
+    if chance < 0.07:
+        return dice.randbytes(dice.randrange(300))
+    return data
+
+
+def attack_unit(build: Callable[[], Controller], addresses: list[int], seed: str) -> Done:
+    """Send serial frames to a unit, then read a register."""
+    dice = Random(seed)
+    bare = Bare(build())
+    bare.run(600 * MS)
+    requests = pdus(dice, addresses)
+    for _ in range(EPISODE):
+        bare.run(dice.choice(_PAUSES_NS))
+        if dice.random() < 0.01:
+            bare.stimulate(*dice.choice(_INPUTS))
+        unit = bytes((dice.choice((UNIT, UNIT, UNIT, UNIT, 0, 2)),))
+        bare.tell(damaged(dice, with_crc(unit + next(requests)[:253])))
+    reached = Counter(answers=len(bare.sent))
+    reached.update("refusals" for one in bare.sent if one[1] & 0x80)
+    assert all(with_crc(one[:-2]) == one for one in bare.sent), "an answer has a wrong CRC"
+    bare.stimulate("power", 1.0)
+    bare.run(2_000 * MS)
+    bare.sent.clear()
+    bare.tell(with_crc(bytes((UNIT, 3)) + addresses[0].to_bytes(2, "big") + b"\0\1"))
+    bare.run(REPLY_BY_NS)
+    assert len(bare.sent) == 1, f"a read has {len(bare.sent)} answers"
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
+def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: str) -> Done:
+    """Send bytes of Modbus/TCP, split anywhere, to a unit; then read one of its registers."""
+    dice = Random(seed)
+    world = World(EventQueue())
+    world.add_tcp(BytePipe("line"), None)
+    world.add_controller("it", build(), "line")
+    digest = hashlib.sha256()
+    reached: Counter[str] = Counter()
+    is_closed = True
+
+    def hear(data: bytes, now_ns: int, transmitted: bool) -> None:
+        nonlocal is_closed
+        digest.update(b"%d " % now_ns + data)
+        reached["answers" if data else "disconnected"] += 1
+        is_closed = is_closed or not data
+
+    def run(duration_ns: int) -> None:
+        world.queue.run_until(world.queue.now_ns + duration_ns)
+
+    run(600 * MS)
+    requests = pdus(dice, addresses)
+    waiting = b""
+    for number in range(EPISODE):
+        if is_closed:
+            is_closed, waiting = False, b""
+            host = world.add_line_host("line", "host", hear)
+        waiting += damaged(dice, adu(number, dice.choice((UNIT, UNIT, 0, 2)), next(requests)))
+        size = len(waiting) if dice.random() < 0.8 else dice.randrange(len(waiting) + 1)
+        if size:
+            host.send(waiting[:size])
+        waiting = waiting[size:]
+        run(dice.choice(_PAUSES_NS))
+    run(3_000 * MS)
+    heard: list[bytes] = []
+    host = world.add_line_host("line", "last", lambda data, now_ns, transmitted: heard.append(data))
+    host.send(adu(7, UNIT, b"\x03" + addresses[0].to_bytes(2, "big") + b"\0\1"))
+    run(2_000 * MS)
+    assert len(heard) == 1, f"a read has {len(heard)} answers"
+    assert heard[0][:2] == b"\0\7", "the answer is that to another request"
+    return Done(EPISODE, digest.digest(), reached)
+
+
+def _addresses(builder: object) -> list[int]:
+    return [row.address for row in builder.registers()]  # type: ignore[attr-defined]  # a builder
+
+
+def _kinds() -> dict[str, Callable[[str], Done]]:
+    kinds: dict[str, Callable[[str], Done]] = {
+        "cia402": partial(attack_node, _drive),
+        "cia401": partial(attack_node, _io_node),
+        "recorded": partial(attack_node, partial(_recorded, "cia402.mcap", node_id=1), own=1),
+    }
+    for name, build in (("leadshine_pr", build_leadshine), ("oriental_az", build_oriental)):
+        made = partial(build, {"unit": UNIT}, _context())
+        kinds[name] = partial(attack_unit, made, _addresses(build))
+        kinds[f"{name} on TCP"] = partial(attack_gateway, made, _addresses(build))
+    unit = partial(_recorded, "leadshine.mcap", unit=UNIT)
+    kinds["recorded unit"] = partial(attack_unit, unit, _addresses(build_leadshine))
+    return kinds
+
+
+def begin(seed: int) -> Attempt:
+    """Return the attempts: one kind after another, each with its own inputs."""
+    kinds = _kinds()
+    names = list(kinds)
+
+    def attempt(number: int) -> Done:
+        name = names[number % len(names)]
+        done = kinds[name](f"{seed}:{number}")
+        reached = Counter({f"{name}: {what}": count for what, count in done.reached.items()})
+        reached[f"{name}: inputs"] = done.count
+        return Done(done.count, done.heard, reached)
+
+    return attempt
+
+
+FRAMES: Final = Attack("frames", "inputs", begin)

@@ -1,0 +1,321 @@
+"""Hosts on a medium that loses, delays, repeats, cuts and alters what devices say.
+
+The plants know the truth. A value that a call returns is true, within the tolerance of its kind,
+at a time no longer ago than what the medium may delay; or the call raises a MotorError. Every call
+ends. A motion that is reported done has reached its target. After the trouble the motor can be used
+again.
+
+The medium alters only what the protocol can detect: the header of an SDO response and lengths on
+CAN, any bit on a serial line with its CRC, the headers on TCP. Other alterations are true lies, of
+which no host can know.
+"""
+
+import struct
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any, Final, final
+
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
+    ControlMode,
+    ControlVariable,
+    Motor,
+    MotorError,
+    TrapezoidalTrajectory,
+)
+from tests.attack.campaign import Attack, Attempt, Done
+from tests.properties.fuzz.frames import frame
+from tests.support.motors.kinds import EVERY, Kind
+
+MS: Final = 1_000_000
+DELAY_MAX_NS: Final = 300 * MS
+TROUBLE_S: Final = (0.2, 3.0)
+"""The shortest and the longest time that a rule lasts [s]."""
+CALL_MAX_S: Final = 12.0
+"""The longest time of any call [s]: its own timeouts, and those of what it asks first."""
+CALLS: Final = 10
+_REST_S: Final = 2.0
+_REPLY_S: Final = 0.1  # the time of an exchange without trouble
+_TRIES: Final = 3  # a call may find out only now what the trouble has done
+_ROUNDING_RAD: Final = 0.001
+_VELOCITY_RAD_S: Final = 0.15
+_CAN: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE, FaultKind.CORRUPT)
+_SERIAL: Final = tuple(SerialFaultKind)
+_TIMED: Final = (SerialFaultKind.DELAY, SerialFaultKind.PAUSE, SerialFaultKind.REPEAT)
+_PLACED: Final = (SerialFaultKind.TRUNCATE, SerialFaultKind.PAUSE)
+
+
+class SilentlyWrong(AssertionError):
+    """A call returned a value that was not true, or reported a motion done that was not."""
+
+
+def _on_tcp(kind: Kind) -> Kind:
+    line = '[bus.line]\nkind = "modbus_tcp"\n'
+    rest = kind.hardware[kind.hardware.index("[controller") :]
+    return replace(kind, name=f"{kind.name} on TCP", hardware=line + rest)
+
+
+def kinds() -> dict[str, Kind]:
+    """Return the kinds of hardware with a medium."""
+    found = [kind for kind in EVERY.values() if kind.hardware]
+    found += [_on_tcp(kind) for kind in found if "modbus_rtu" in kind.hardware]
+    return {kind.name: kind for kind in found}
+
+
+@cache
+def _description(name: str) -> RigDescription:
+    return parse_rig(Source(Path(f"{name}.toml"), kinds()[name].rig()), installed_plugins())
+
+
+@final
+class Truth:
+    """The true state of one motor during the time that a reading may be old."""
+
+    def __init__(self, rig: Rig, kind: Kind) -> None:
+        motor = rig.description.motors["left"]
+        assert motor.controller is not None
+        self._controller = motor.controller
+        self._rig = rig
+        self.age_ns = DELAY_MAX_NS + round((kind.heard_s + _REPLY_S) * 1e9)
+        self._seen: deque[tuple[int, float, float]] = deque()
+        rig.world.tap_samples(2 * MS, self._sample)
+
+    def _sample(self, now_ns: int, controller: str, truth: Mapping[str, float]) -> None:
+        if controller == self._controller:
+            self._seen.append((now_ns, truth["position_rad"], truth["velocity_rad_s"]))
+            while len(self._seen) > 1 and self._seen[1][0] < now_ns - 2 * self.age_ns:
+                self._seen.popleft()
+
+    def position(self) -> float:
+        """Return the position now [rad]."""
+        return self._rig.world.snapshot(self._controller)["position_rad"]
+
+    def require(self, what: str, value: float, at_ns: int, place: int, tolerance: float) -> None:
+        """Raise SilentlyWrong if the value has not been true since `at_ns` less the age.
+
+        Args:
+            what: the value, for the message.
+            value: [rad] or [rad/s].
+            at_ns: the time for which it is reported [ns].
+            place: 1: position; 2: velocity.
+            tolerance: in the unit of the value.
+        """
+        truth = self._rig.world.snapshot(self._controller)
+        seen = [one for one in self._seen if one[0] >= at_ns - self.age_ns]
+        before = [one for one in self._seen if one[0] < at_ns - self.age_ns]
+        values = [one[place] for one in before[-1:] + seen]
+        values.append(truth["position_rad" if place == 1 else "velocity_rad_s"])
+        if not min(values) - tolerance <= value <= max(values) + tolerance:
+            raise SilentlyWrong(
+                f"{what} {value:.5f} at {at_ns / 1e9:.6f} s; true since "
+                f"{self.age_ns / 1e6:.0f} ms before: {min(values):.5f} to {max(values):.5f}"
+            )
+
+
+@final
+class Trouble:
+    """The rules of one run, and a foreign node on CAN that sends malformed frames."""
+
+    def __init__(self, rig: Rig, dice: Random) -> None:
+        self._rig = rig
+        self._dice = dice
+        self._rules: list[tuple[str, str]] = []
+        self.ends_ns = 0
+        (self._bus,) = rig.description.buses
+        is_line = rig.description.buses[self._bus].is_line
+        is_tcp = is_line and rig.description.buses[self._bus].kind == "modbus_tcp"
+        for number in range(dice.randrange(1, 5)):
+            begin_ns = rig.runtime.now_ns() + round(dice.uniform(0.0, 2.0) * 1e9)
+            until_ns = begin_ns + round(dice.uniform(*TROUBLE_S) * 1e9)
+            self.ends_ns = max(self.ends_ns, until_ns)
+            name = f"trouble {number}"
+            common: dict[str, Any] = {
+                "sender": dice.choice([*rig.description.controllers, None]),
+                "from_ns": begin_ns,
+                "until_ns": until_ns,
+                "probability": dice.choice((0.02, 0.1, 0.3, 0.8)),
+            }
+            rule = self._serial(name, common, is_tcp) if is_line else self._can(name, common)
+            rig.faults.inject(self._bus, rule)
+        if not is_line:
+            port = rig.world.add_host(self._bus, "liar", lambda *_: None)
+            period_s = dice.choice((0.003, 0.02, 0.1))
+            self._liar = rig.runtime.every(period_s, lambda: self._lie(port.send))
+
+    def _can(self, name: str, common: dict[str, Any]) -> FaultRule:
+        dice = self._dice
+        kind = dice.choice(_CAN)
+        more: dict[str, Any] = {}
+        if kind is FaultKind.DELAY:
+            more = {"delay_ns": dice.randrange(1, DELAY_MAX_NS)}
+        elif kind is FaultKind.CORRUPT:  # command specifier, index, sub-index
+            flip = bytearray(4)
+            flip[dice.randrange(4)] = 1 << dice.randrange(8)
+            more = {"flip": bytes(flip), "identifier": dice.choice((0x581, 0x582))}
+            common = {**common, "sender": None}
+        elif common["sender"] is None:
+            more = {"identifier": dice.choice((0x181, 0x281, 0x581, 0x701))}
+        return FaultRule(name, kind, **common, **more)
+
+    def _serial(self, name: str, common: dict[str, Any], is_tcp: bool) -> SerialFaultRule:
+        dice = self._dice
+        kind = dice.choice(_SERIAL)
+        more: dict[str, Any] = {}
+        if kind in _TIMED:
+            more["delay_ns"] = dice.randrange(1, DELAY_MAX_NS)
+        if kind in _PLACED:
+            more["after"] = dice.randrange(1, 9)
+        if kind is SerialFaultKind.NOISE:
+            more["noise"] = dice.randbytes(dice.randrange(1, 6))
+        if kind is SerialFaultKind.CORRUPT and is_tcp:  # all that is not a value
+            flip = bytearray(8)
+            flip[dice.randrange(8)] = 1 << dice.randrange(8)
+            more["flip"] = bytes(flip)
+            common = {**common, "sender": dice.choice([*self._rig.description.controllers])}
+        return SerialFaultRule(name, kind, **common, **more)
+
+    def _lie(self, send: Callable[[bytes], object]) -> None:
+        """Send a malformed frame in the name of node 1, or one that answers nothing asked for."""
+        dice = self._dice
+        if self._rig.runtime.now_ns() >= self.ends_ns:
+            self._liar.cancel()
+            return
+        which = dice.randrange(5)
+        if which == 0:  # an answer to a request for another object
+            mux = struct.pack("<BHB", dice.choice((0x43, 0x4B, 0x4F, 0x60)), 0x2FFF, 7)
+            send(frame(0x581, mux + dice.randbytes(4)))
+        elif which == 1:
+            send(frame(0x581, dice.randbytes(dice.randrange(8))))
+        elif which == 2:
+            send(frame(dice.choice((0x181, 0x281)), dice.randbytes(dice.randrange(2))))
+        elif which == 3:  # a response of no request: block upload, abort of another object
+            send(frame(0x581, struct.pack("<BHBI", 0x80, 0x2FFF, 0, 0x0601_0000)))
+        else:
+            send(frame(0x701, dice.randbytes(dice.choice((0, 2, 8)))))
+
+
+@final
+class Program:
+    """A program with a motor under trouble: random calls, and what they must not do."""
+
+    def __init__(self, rig: Rig, kind: Kind, dice: Random) -> None:
+        self.motor: Motor = rig.motors["left"]
+        self.reached: Counter[str] = Counter()
+        self._rig, self._kind, self._dice = rig, kind, dice
+        self._truth = Truth(rig, kind)
+        self._tolerance = kind.window + _ROUNDING_RAD
+        self._calls = (
+            *(self._position,) * 3,
+            *(self._velocity, self._latest, self._move, self._move, self._turn),
+            *(self.motor.state, self.motor.fault, self.motor.torque, self.motor.is_referenced),
+            *(self.motor.stop, self.motor.quick_stop, self.motor.enable, self.motor.disable),
+            *(self.motor.reset_fault, lambda: rig.runtime.run_for(0.15)),
+        )
+
+    def call(self, call: Callable[[], object]) -> None:
+        """Make a call; a MotorError is right, and so is the end within CALL_MAX_S."""
+        begun_ns = self._rig.runtime.now_ns()
+        name = getattr(call, "__name__", "").strip("_")
+        try:
+            call()
+            self.reached[f"{name} returned"] += 1
+        except MotorError as error:
+            self.reached[f"{type(error).__name__}"] += 1
+        took_s = (self._rig.runtime.now_ns() - begun_ns) / 1e9
+        if took_s > CALL_MAX_S:
+            raise SilentlyWrong(f"{name} took {took_s:.1f} s; expected {CALL_MAX_S} s at most")
+
+    def run(self) -> None:
+        """Make random calls."""
+        for _ in range(CALLS):
+            self.call(self._dice.choice(self._calls))
+
+    def _position(self) -> None:
+        value = self.motor.position()
+        self._truth.require("position", value, self._rig.runtime.now_ns(), 1, self._tolerance)
+
+    def _velocity(self) -> None:
+        value = self.motor.velocity()
+        self._truth.require("velocity", value, self._rig.runtime.now_ns(), 2, _VELOCITY_RAD_S)
+
+    def _latest(self) -> None:
+        latest = self.motor.latest()
+        if latest is not None and latest.position is not None:
+            if latest.time_ns < self._rig.runtime.now_ns() - self._truth.age_ns:
+                return  # it says that it is old
+            what = "latest position"
+            self._truth.require(what, latest.position, latest.time_ns, 1, self._tolerance)
+
+    def _move(self) -> None:
+        distance = self._dice.choice((-0.4, -0.05, 0.05, 0.4))
+        begun = self._truth.position()
+        self.motor.set_control_mode(ControlMode.TRAJECTORY)
+        self.motor.set_trajectory(TrapezoidalTrajectory(distance))
+        self.motor.start()
+        self.motor.wait_until_done(5)
+        self._require_moved(begun, distance)
+
+    def _require_moved(self, begun: float, distance: float) -> None:
+        moved = self._truth.position() - begun
+        if abs(moved - distance) > 2 * self._tolerance:
+            raise SilentlyWrong(f"done after {moved:.5f} rad; expected {distance} rad")
+
+    def _turn(self) -> None:
+        self.motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        self.motor.set_setpoint(self._dice.choice((-1.0, 0.5)))
+        self.motor.start()
+        self._rig.runtime.run_for(0.2)
+        self._position()
+        self.motor.stop()
+
+    def require_usable(self) -> None:
+        """Raise SilentlyWrong if the motor cannot move in one of few tries."""
+        for last in (False,) * (_TRIES - 1) + (True,):
+            self._rig.runtime.run_for(_REST_S)
+            try:
+                self.motor.stop()
+                if self.motor.fault() is not None:
+                    self.motor.reset_fault()
+                self.motor.enable()
+                self._rig.runtime.run_for(_REST_S)
+                self._position()
+                self._move()
+                self._position()
+            except MotorError as error:
+                if last:
+                    raise SilentlyWrong(f"unusable after the trouble: {error}") from error
+                self.reached["not usable at once"] += 1
+            else:
+                return
+
+
+def attack(name: str, seed: str) -> Done:
+    """Run a program under trouble on this kind of hardware."""
+    kind, dice = kinds()[name], Random(seed)
+    with Rig(_description(name), seed=dice.getrandbits(32)) as rig:
+        program = Program(rig, kind, dice)
+        program.motor.enable()
+        trouble = Trouble(rig, dice)
+        program.run()
+        left_ns = trouble.ends_ns - rig.runtime.now_ns()
+        rig.runtime.run_for(max(0.0, left_ns / 1e9))
+        program.require_usable()
+        program.reached[name] += 1
+        return Done(1, f"{name} {rig.runtime.now_ns()}".encode(), program.reached)
+
+
+def begin(seed: int) -> Attempt:
+    """Return the attempts: one kind after another."""
+    names = list(kinds())
+    return lambda number: attack(names[number % len(names)], f"{seed}:{number}")
+
+
+LIES: Final = Attack("lies", "runs", begin)
