@@ -100,13 +100,14 @@ class EmcyProducer:
         if count is not None:
             count.writer = self.check_history
 
-    def configure(self) -> None:
-        """Read identifier and inhibit time from 1014h and 1015h."""
+    def configure(self, now_ns: int) -> None:
+        """Read identifier and inhibit time from 1014h and 1015h; waiting EMCYs follow these."""
         cob_id = self._cob_id.integer()
         self._can_id = 0 if cob_id & INVALID else cob_id & 0x7FF
         self._inhibit_ns = self._od.integer(0x1015, 0, 0) * 100_000
         if self._waiting:
             self._move()
+            self.deadline_ns = max(self.deadline_ns, now_ns)  # the new time may be over already
 
     def allow(self, may_send: bool) -> None:
         """Allow or forbid EMCY by NMT state; forbidding discards waiting messages."""

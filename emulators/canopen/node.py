@@ -267,7 +267,7 @@ class CanopenNode:
         elif index == 0x1012:
             self._time.configure()
         elif index in (0x1014, 0x1015):
-            self._emcy.configure()
+            self._emcy.configure(now_ns)
             return
         elif index in (0x100C, 0x100D, 0x1016, 0x1017):
             self._error_control.configure(index, now_ns)
@@ -337,7 +337,7 @@ class CanopenNode:
 
     def _configure_all(self, now_ns: int) -> None:
         self._sync.configure(0x1005, now_ns)
-        self._emcy.configure()
+        self._emcy.configure(now_ns)
         self._time.configure()
         self._error_control.reset(now_ns)
         self._pdos.configure_all(now_ns)

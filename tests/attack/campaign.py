@@ -5,6 +5,7 @@ defect. A finding is printed with the command that repeats this one attempt.
 """
 
 import hashlib
+import re
 import sys
 import time
 import traceback
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 FINDINGS_SHOWN: Final = 5
+_NUMBER: Final = re.compile(r"-?\d[\d.]*")
 _PROGRESS_S: Final = 2.0
 
 
@@ -60,7 +62,7 @@ class Campaign:
     Attributes:
         count: number of units.
         attempts: number of attempts.
-        findings: by description, the number of the first attempt with it.
+        findings: by description without its numbers, the number of the first attempt with it.
     """
 
     attack: Attack
@@ -97,11 +99,12 @@ class Campaign:
         except Exception as error:
             self.count += 1
             what = f"{type(error).__name__}: {error}".splitlines()[0]
-            if what not in self.findings and len(self.findings) < FINDINGS_SHOWN:
+            kind = _NUMBER.sub("N", what)
+            if kind not in self.findings and len(self.findings) < FINDINGS_SHOWN:
                 traceback.print_exception(error)
                 print(f"FAILED: {self.attack.name}: seed {self.seed}, attempt {number}: {what}")
                 print(f"again: {self.again(number)}", flush=True)
-            self.findings.setdefault(what, number)
+            self.findings.setdefault(kind, number)
             self._digest.update(what.encode())
             return
         self.count += done.count

@@ -164,6 +164,17 @@ def test_waiting_emcys_are_sent_when_inhibit_time_is_cleared():
     assert bench.node.next_deadline_ns() is None
 
 
+def test_waiting_emcy_is_due_now_if_new_inhibit_time_is_over():
+    bench = inhibited(1000)  # 100 ms
+    errors(bench, 0x8611, 0x7300)
+    bench.wait(50 * MS)
+    bench.frames()
+    bench.tell(0x602, "2B 15 10 00 64 00 00 00")  # 10 ms
+    assert bench.node.next_deadline_ns() == bench.now_ns  # and not 40 ms ago
+    bench.wait(0)
+    assert [text[:9] for text in bench.frames() if text.startswith("082")] == ["082 00 73"]
+
+
 def test_waiting_emcys_use_new_inhibit_time():
     bench = inhibited(1000)  # 100 ms
     errors(bench, 0x8611, 0x7300)
