@@ -54,7 +54,7 @@ RECORDED: Final = (
     ("judge", "{}"),
     ("report", "{}", "-o", "page.html"),
     ("recover", "{}", "-o", "recovered.mcap", "--force"),
-    ("analyse", "{}", "--bitrate", "can0=1M"),
+    ("analyse", "{}", "--bitrate", "can0=1M", "--queue", "priority"),
     ("run", "{}", "script.py"),
     ("replay", "{}", "script.py", "--as", "device"),
     ("replay", "{}", "--as", "host", "--rig", "rig.toml"),
@@ -325,7 +325,7 @@ def begin(seed: int) -> Attempt:
     """Return the attempts: one damaged file each, through all its verbs."""
     folder = Folder()
     names = list(folder.originals)
-    for words in (("judge",), ("report", "-o", str(folder.path / "p.html")), ("analyse",)):
+    for words in (("judge",), ("report", "-o", str(folder.path / "p.html")), ("show",)):
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             main([*words, str(GOLDEN / "cia402.mcap")])  # imports, which children then have
 

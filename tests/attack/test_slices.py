@@ -1,0 +1,277 @@
+"""A small part of each attack; each finds a fault planted on purpose."""
+
+import gc
+import time
+from functools import partial
+
+import pytest
+
+from motorhil.emulators.cia401.node import build as build_io_node
+from motorhil.emulators.controller import ControllerContext
+from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.version import cores_are_compiled
+from motorhil.motorapi import Motor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from tests.attack import __main__ as program
+from tests.attack import controllers, damaged_files, growth, lock_kills, lying_medium
+from tests.attack import recorder_kills as recorders
+from tests.attack.campaign import Attack, Campaign, Done
+
+SEED = 1
+UNCOMPILED = pytest.mark.skipif(
+    cores_are_compiled(), reason="compiled classes cannot be broken on purpose"
+)
+
+
+def campaign(name, first=0, count=1):
+    """Return the results of a few attempts; no finding is right."""
+    done = Campaign(program.attack_named(name), SEED)
+    done.run(0.0, count, first)
+    assert not done.findings, done.summary()
+    return done
+
+
+# ------------------------------------------------------------------------------------ campaigns
+
+
+def test_finding_is_printed_with_its_command(capsys):
+    def begin(seed):
+        def attempt(number):
+            assert number % 3, f"{number} of seed {seed}"
+            return Done(1, b"%d" % number)
+
+        return attempt
+
+    done = Campaign(Attack("threes", "numbers", begin), 7)
+    done.run(0.0, 10)
+    assert done.findings == {"AssertionError: N of seed N": 0}
+    out = capsys.readouterr().out
+    assert out.count("FAILED") == 1
+    assert "again: python -m tests.attack threes --seed 7 --first 0 --count 1" in out
+    assert "7: 10 numbers in 10 attempts" in done.summary()
+
+
+@pytest.mark.parametrize("count", ["0", "1"])
+def test_command_line_runs_named_attack(count, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["attack", "frames", "--count", count])
+    assert program.main() == 0
+    assert "frames: seed 1: " in capsys.readouterr().out
+
+
+def test_unknown_attack_is_refused_with_known_names(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["attack", "fames"])
+    with pytest.raises(SystemExit, match="2"):
+        program.main()
+    assert "expected frames, lies" in capsys.readouterr().err
+
+
+# --------------------------------------------------------------------------------------- frames
+
+
+def test_every_kind_of_controller_survives_frames_twice_alike():
+    done = campaign("frames", count=8 * controllers.EPISODE)
+    assert sum("inputs" in name for name in done.reached) == 8
+    assert all(done.reached[name] for name in done.reached if "answers" in name)
+    assert done.digest() == campaign("frames", count=8 * controllers.EPISODE).digest()
+
+
+class Faulty:
+    """An I/O node with a fault after 50 frames."""
+
+    def __init__(self, fault):
+        context = ControllerContext("it", controllers.GOLDEN, 1)
+        self._node = build_io_node({"node_id": controllers.NODE}, context)
+        self._fault = fault
+        self._count = 0
+        self.od = self._node.od
+
+    def __getattr__(self, name):
+        return getattr(self._node, name)
+
+    def receive(self, data, now_ns):
+        self._count += 1
+        if self._count > 50 and self._fault == "raises":
+            raise IndexError("a node that cannot count")
+        self._node.receive(data, now_ns)
+
+    def next_deadline_ns(self):
+        is_past = self._count > 50 and self._fault == "asks for the past"
+        return 1 if is_past else self._node.next_deadline_ns()
+
+    def take_output(self):
+        frames = self._node.take_output()
+        if self._count > 50 and self._fault == "floods":
+            return [bytes(16)]
+        return [] if self._count > 50 and self._fault == "falls silent" else frames
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("raises", "cannot count"),
+        ("asks for the past", "is before now"),
+        ("floods", "more than 300 frames"),
+        ("falls silent", "0 answers"),
+    ],
+)
+def test_faulty_controller_is_found(fault, told):
+    with pytest.raises((IndexError, AssertionError), match=told):
+        controllers.attack_node(partial(Faulty, fault), "1:0")
+
+
+# ----------------------------------------------------------------------------------------- lies
+
+
+def test_hosts_of_every_kind_are_never_silently_wrong():
+    done = campaign("lies", count=len(lying_medium.kinds()))
+    assert all(done.reached[name] for name in lying_medium.kinds())
+    assert done.reached["position returned"]
+
+
+@UNCOMPILED
+@pytest.mark.parametrize(
+    ("owner", "name", "wrong", "told"),
+    [
+        (Cia402Motor, "_read_position", lambda motor: 0.5, "SilentlyWrong: position N"),
+        (Cia402Motor, "_read_velocity", lambda motor: 1.5, "SilentlyWrong: velocity N"),
+        (Motor, "wait_until_done", lambda motor, timeout_s=None: None, "SilentlyWrong: done at N"),
+        (Motor, "fault", lambda motor: {}["a bug"], "a bug"),
+    ],
+)
+def test_wrong_host_is_found(owner, name, wrong, told, monkeypatch):
+    monkeypatch.setattr(owner, name, wrong)
+    done = Campaign(Attack("lies", "runs", _of_a_drive), SEED)
+    done.run(0.0, 10)
+    assert any(told in finding for finding in done.findings), done.findings
+
+
+def _of_a_drive(seed):
+    return lambda number: lying_medium.attack("cia402", f"{seed}:{number}")
+
+
+# ---------------------------------------------------------------------------------------- files
+
+
+@pytest.mark.wall
+@pytest.mark.parametrize("first", [0, 5, 6])
+def test_damaged_file_is_read_or_refused_in_time(first):
+    done = campaign("files", first)
+    assert sum("exit status" in name for name in done.reached)
+
+
+def _takes_memory(words):
+    return len(bytearray(400 << 20)) and 0
+
+
+def _takes_time(words):
+    while True:
+        pass
+
+
+def _raises(words):
+    raise LookupError("a bug of the verb")
+
+
+@pytest.mark.wall
+@pytest.mark.parametrize(
+    ("verb", "told"),
+    [
+        (_raises, "traceback: LookupError: a bug of the verb"),
+        (_takes_memory, "MB"),
+        (_takes_time, "of processor time"),
+        (lambda words: 9, "exit status 9"),
+    ],
+)
+def test_faulty_verb_is_found(verb, told, monkeypatch, tmp_path):
+    monkeypatch.setattr(damaged_files, "main", verb)
+    monkeypatch.setattr(damaged_files, "SECONDS_MAX", 1)
+    with pytest.raises(AssertionError, match=told):
+        damaged_files.use(("check", "rig.toml"), tmp_path)
+
+
+# ------------------------------------------------------------------------- locks and recordings
+
+
+@pytest.mark.wall
+def test_lock_survives_kills_of_its_holders():
+    done = lock_kills.attack(lock_kills.plan_of(f"{SEED}:0", seconds=0.5))
+    assert done.reached["killed"] + done.reached["paused"] == done.count
+    assert done.reached["take: done"]
+
+
+@pytest.mark.wall
+def test_lock_open_to_everybody_is_found():
+    plan = lock_kills.plan_of(f"{SEED}:0", seconds=0.5, plant=f"{__name__}:open_locks")
+    with pytest.raises(SharingViolated):
+        lock_kills.attack(plan)
+
+
+def open_locks(folder):
+    """Give each worker of the arena its own lock folder."""
+    import os
+
+    from motorhil.harness.sharing_tests import workers
+
+    own = folder / f"locks-{os.getpid()}"
+    own.mkdir(mode=0o700)
+    directory = workers.LockDirectory
+    workers.LockDirectory = lambda path: directory(own)
+
+
+@pytest.mark.wall
+def test_killed_and_full_recorders_lose_one_second():
+    done = campaign("recordings", count=6)
+    assert done.reached["killed"]
+    assert done.reached["full disk"]
+    assert done.reached["recovered"] >= 4
+
+
+@pytest.mark.wall
+def test_recorder_that_holds_back_or_loses_frames_is_found(tmp_path, monkeypatch):
+    path = tmp_path / "it.mcap"
+    monkeypatch.setattr(recorders, "_END_S", 2)
+    recorders.ended(recorders.record_bus, path, None, 1 << 30)
+    assert recorders.require_recovered(path, 2_000_000_000, True)["frames"]
+    with pytest.raises(AssertionError, match="s lost of 3"):
+        recorders.require_recovered(path, 3_100_000_000, True)
+    monkeypatch.setattr(recorders, "_FRAME_NS", 5_000_000)
+    with pytest.raises(AssertionError, match="wrong times"):
+        recorders.require_recovered(path, 2_000_000_000, True)
+
+
+# --------------------------------------------------------------------------------------- growth
+
+
+def objects():
+    """Return the number of objects in thousands, without garbage."""
+    gc.collect()
+    return len(gc.get_objects()) / 1000
+
+
+def test_recorded_minutes_leave_no_objects():
+    attempt = growth.begin_hours(SEED)
+    seen = growth.Growth("steps", 1.0, objects)
+    for number in range(4):
+        attempt(number)
+        if number:
+            seen.note(number)
+
+
+def test_closed_rigs_leave_no_objects():
+    seen = growth.Growth("rigs", 1.0, objects)
+    for number in range(30):
+        growth.open_and_close(number, SEED)
+        if number % 10 == 9:
+            seen.note(number)
+
+
+def test_growth_beyond_the_bound_is_found(capsys):
+    kept = []
+    seen = growth.Growth("steps", 10.0, lambda: 100.0 + len(kept))
+    for number in range(11):
+        kept.append(time)
+        seen.note(number)
+    kept.append(time)
+    with pytest.raises(AssertionError, match="grew by more than 10 MB"):
+        seen.note(11)
+    assert "+10.0" in capsys.readouterr().out
