@@ -19,6 +19,7 @@ Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 """
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -458,7 +459,8 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     if is_unit:
         return RecordedUnit(log, number, note)
     data_bit_ns = 0 if own.data_bitrate_bit_s is None else 1_000_000_000 // own.data_bitrate_bit_s
-    decoder, bit_ns = found.decoders[log.bus], 1_000_000_000 // own.bitrate_bit_s
+    # Decoding changes a decoder, and `found` is that of all rigs of this process.
+    decoder, bit_ns = deepcopy(found.decoders[log.bus]), 1_000_000_000 // own.bitrate_bit_s
     return RecordedNode(log, decoder, number, bit_ns, note, data_bit_ns)
 
 

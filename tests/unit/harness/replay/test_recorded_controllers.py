@@ -2,15 +2,18 @@
 
 import pytest
 
-from motorhil.harness.replay.device_node import NO_DATA, RecordedNode, RecordedUnit
+from motorhil.emulators.controller import ControllerContext
+from motorhil.harness.replay.device_node import NO_DATA, RecordedNode, RecordedUnit, build
 from motorhil.traces.can_frame import BRS, RTR, classic, flexible, remote
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.exchange.canopen import CanopenExchanges
 from motorhil.traces.exchange.modbus import modbus_logs
 from motorhil.traces.formats.frames import Frame
 from motorhil.traces.schema import Direction
+from tests.support.checkout import CHECKOUT
 from tests.unit.traces.exchange.test_exchange_logs import MS, adu, cut, frame
 
+GOLDEN = CHECKOUT / "traces" / "golden"
 BOOT = frame(0, 0x706, b"\0")
 READ, KIND = bytes.fromhex("4000100000000000"), bytes.fromhex("4300100092010200")
 READ_NAME = bytes.fromhex("4008100000000000")
@@ -305,3 +308,17 @@ def test_classical_node_omits_can_fd_frames_with_warning():
         ("warning", "1 CAN FD frames of node 6 are left out: it is classical")
     ]
     assert len(flexible_node(500, frames).player.log.steps[0].reactions) == 2
+
+
+def test_two_controllers_of_one_file_report_alike():
+    heard = []
+    for _ in range(2):
+        context = ControllerContext("left", GOLDEN, 1)
+        one = build({"recording": "cia402.mcap", "node_id": 1}, context)
+        one.start(0)
+        one.receive(classic(0x201, b"\x02\0"), 0)  # of which the mapping is known
+        one.receive(classic(0x000, b"\x81\0"), 0)  # a reset, which forgets it
+        one.receive(classic(0x201, b"\x02\0"), 0)
+        heard.append(one.take_events())
+    assert "6040h controlword" in heard[0][0][1]
+    assert heard[0] == heard[1]
