@@ -54,7 +54,7 @@ quick: $(READY)  ## style and tests that the changes since main can break, neare
 
 nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants
 	MOTORHIL_HYPOTHESIS=nightly $(BIN)/python -m pytest $(WORKERS) --timeout 7200 -m "hypothesis or nightly"
-	$(MAKE) --no-print-directory fuzz FUZZ="--seed $$(date +%s)"
+	$(MAKE) --no-print-directory fuzz FUZZ="--seed $$(date +%s) --seconds 1800"
 	$(MAKE) --no-print-directory mutants
 
 test: check  ## everything that must hold, on one machine, in minutes; repetition is for nightly
@@ -79,8 +79,8 @@ bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
 bench-against: $(READY)  ## REV, another revision, built once: what the demo, csp and the bus cost beside it
 	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)
 
-fuzz: $(READY)  ## a million random, mutated and recorded frames at the drive; FUZZ="--seed N --frames N"
-	$(BIN)/python -m tests.properties.fuzz $(FUZZ)
+fuzz: $(READY)  ## attacks on drives, hosts, files, locks, recorders, memory; FUZZ="ATTACK --seed N --seconds S"
+	$(BIN)/python -m tests.attack $(FUZZ)
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)

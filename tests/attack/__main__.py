@@ -14,6 +14,7 @@ from typing import Final
 from tests.attack.campaign import Attack, Campaign
 
 ATTACKS: Final = {
+    "drive": "controllers",
     "frames": "controllers",
     "lies": "lying_medium",
     "files": "damaged_files",

@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from random import Random
 from typing import Final, final
 
@@ -29,14 +28,17 @@ from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.harness.replay.device_node import build as build_recorded
 from tests.attack.campaign import Attack, Attempt, Done
-from tests.properties.fuzz.frames import Frames, frame
+from tests.properties.fuzz.__main__ import OUT
+from tests.properties.fuzz.frames import Frames, frame, line_of
+from tests.properties.fuzz.target import Reached, endure, episode, shrunk
+from tests.support.checkout import CHECKOUT
 from tests.support.cia402.stranger import LIGHT, OBJECTS
 
 EPISODE: Final = 1_000
 """Number of inputs to one controller."""
 ANSWERS_MAX: Final = 300
 """Frames for one input: a block upload of SDO has 127 segments, a queue of TPDOs and EMCYs more."""
-GOLDEN: Final = Path(__file__).parents[2] / "traces" / "golden"
+GOLDEN: Final = CHECKOUT / "traces" / "golden"
 MS: Final = 1_000_000
 NODE: Final = 5
 UNIT: Final = 1
@@ -300,4 +302,25 @@ def begin(seed: int) -> Attempt:
     return attempt
 
 
+def begin_drive(seed: int) -> Attempt:
+    """Return the attempts: a drive each, whose states are checked against CiA 402."""
+
+    def attempt(number: int) -> Done:
+        reached = Reached()
+        steps = list(episode(seed, number))
+        try:
+            endure(steps, reached)
+        except Exception:
+            OUT.mkdir(exist_ok=True)
+            file = OUT / f"fuzz-{seed}-{number}.txt"
+            file.write_text("".join(line_of(step) + "\n" for step in shrunk(steps)))
+            print(f"fewer steps: python -m tests.properties.fuzz --again {file}")
+            raise
+        counts = Counter({f"transition {k}": count for k, count in reached.transitions.items()})
+        return Done(reached.frames, repr(sorted(counts.items())).encode(), counts)
+
+    return attempt
+
+
 FRAMES: Final = Attack("frames", "inputs", begin)
+DRIVE: Final = Attack("drive", "frames", begin_drive)

@@ -32,12 +32,13 @@ from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.runtime.wall import WallRuntime
 from motorhil.traces.formats.registry import WRITABLE
 from tests.attack.campaign import Attack, Attempt, Done
+from tests.support.checkout import CHECKOUT
 from tests.support.motors.kinds import BUS, EVERY, MODEL
 
 SECONDS_MAX: Final = 5
 MEGABYTES_MAX: Final = 300
 DOCUMENTED: Final = (PASSED, FAILED, WRONG_USAGE, NOT_JUDGED)
-GOLDEN: Final = Path(__file__).parents[2] / "traces" / "golden"
+GOLDEN: Final = CHECKOUT / "traces" / "golden"
 EDS: Final = Path(emulators.__file__).parent / "eds" / "motorhil_cia402.eds"
 _ADDRESS_SPACE: Final = 3 << 30
 _PATIENCE_S: Final = 300

@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 
 from motorhil.emulators.cia401.node import build as build_io_node
+from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.controller import ControllerContext
 from motorhil.harness.sharing_tests.history import SharingViolated
 from motorhil.harness.version import cores_are_compiled
@@ -62,7 +63,7 @@ def test_unknown_attack_is_refused_with_known_names(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["attack", "fames"])
     with pytest.raises(SystemExit, match="2"):
         program.main()
-    assert "expected frames, lies" in capsys.readouterr().err
+    assert "expected drive, frames, lies" in capsys.readouterr().err
 
 
 # --------------------------------------------------------------------------------------- frames
@@ -117,6 +118,26 @@ class Faulty:
 def test_faulty_controller_is_found(fault, told):
     with pytest.raises((IndexError, AssertionError), match=told):
         controllers.attack_node(partial(Faulty, fault), "1:0")
+
+
+@UNCOMPILED
+def test_forbidden_state_of_a_drive_is_found_and_reduced(monkeypatch, tmp_path, capsys):
+    assert campaign("drive").reached["transition 4"]
+    good = PowerDrive._write_controlword
+
+    def enables_by_a_reset_word(drive, word, now_ns):
+        good(drive, word, now_ns)
+        if word == 0x80:
+            good(drive, 0x06, now_ns)
+
+    monkeypatch.setattr(PowerDrive, "_write_controlword", enables_by_a_reset_word)
+    monkeypatch.setattr(controllers, "OUT", tmp_path)
+    done = Campaign(program.attack_named("drive"), SEED)
+    done.run(0.0, 1)
+    assert any("forbidden" in finding for finding in done.findings)
+    assert "--again" in capsys.readouterr().out
+    (kept,) = tmp_path.iterdir()
+    assert len(kept.read_text().splitlines()) <= 12
 
 
 # ----------------------------------------------------------------------------------------- lies

@@ -1,4 +1,4 @@
-"""Fuzzing of emulated drives with millions of frames: `make fuzz`.
+"""Fuzzing of emulated drives with millions of frames, as the attack `drive` of `make fuzz`.
 
 python -m tests.properties.fuzz [--seed N] [--frames N]     new frames, the same for the same seed
 python -m tests.properties.fuzz --again FILE                failed ones, as kept in FILE

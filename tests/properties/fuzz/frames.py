@@ -8,7 +8,6 @@ Physical inputs of the drive are "PAUSE_NS !INPUT VALUE".
 import struct
 from collections.abc import Iterator, Sequence
 from functools import cache
-from pathlib import Path
 from random import Random
 from typing import Final
 
@@ -16,6 +15,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from tests.support.checkout import CHECKOUT
 from tests.support.cia402.bench import MS, NODE
 from tests.support.cia402.stranger import NORMAL, PHYSICS
 
@@ -24,7 +24,7 @@ Step = tuple[int, int, bytes | float | str]
 
 EXTENDED: Final = 0x8000_0000
 REMOTE: Final = 0x4000_0000
-GOLDEN: Final = Path(__file__).parents[3] / "traces" / "golden" / "cia402.mcap"
+GOLDEN: Final = CHECKOUT / "traces" / "golden" / "cia402.mcap"
 PAUSES_NS: Final = (0, 0, 0, 0, 1, 100_000, 1 * MS, 1 * MS, 2 * MS, 7 * MS, 20 * MS)
 WORDS: Final = (0x06, 0x07, 0x0F, 0x0F, 0x1F, 0x3F, 0x00, 0x02, 0x80, 0x8F, 0x010F)
 INTERESTING: Final = (
