@@ -2,7 +2,9 @@
 
 By default only loopback addresses are allowed. Each network connection has one connection to the
 emulated gateway. Its data arrive there after the latency of the line, and responses are sent out at
-once.
+once. A new client beyond the greatest number replaces the one that has been silent the longest.
+
+Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, TCP connection management.
 """
 
 import ipaddress
@@ -124,7 +126,7 @@ class ModbusSocket:
     ) -> None:
         self._world = world
         self._line = line
-        self._connections: dict[socket.socket, _Connection] = {}
+        self._connections: dict[socket.socket, _Connection] = {}  # the silent ones first
         self._watched: list[Source] = []
         self._is_settled = False  # no client came, left, or has unread bytes
         family, address = _resolved(host, port, any_address)
@@ -174,7 +176,8 @@ class ModbusSocket:
         if source is self._listener:
             self._accept()
         elif isinstance(source, socket.socket) and source in self._connections:
-            self._connections[source].readable()
+            client = self._connections[source] = self._connections.pop(source)
+            client.readable()
 
     def _accept(self) -> None:
         try:
@@ -182,8 +185,7 @@ class ModbusSocket:
         except OSError:  # it has left again, or the descriptors are used up: it waits
             return
         if len(self._connections) >= CLIENTS_MAX:
-            connection.close()
-            return
+            self._connections.pop(next(iter(self._connections))).close()
         connection.setblocking(False)
         with suppress(OSError):  # it may have left already
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

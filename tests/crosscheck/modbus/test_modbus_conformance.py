@@ -38,6 +38,20 @@ def ask(request, served) -> Ask:
     return served.ask_tcp if request.param == "tcp" else served.ask_rtu
 
 
+def test_idle_clients_leave_room_for_a_new_one(served, monkeypatch):
+    """The guide on TCP, connection management: the oldest unused connection is closed."""
+    monkeypatch.setattr("motorhil.emulators.gateways.modbus_tcp.CLIENTS_MAX", 4)
+    idle = [socket.create_connection(served.socket.address) for _ in range(3)]
+    for number in range(10):
+        assert served.ask_tcp(1, pdu("03 0000 0001"))[0] == 0x03  # it is in use
+        idle.append(socket.create_connection(served.socket.address))
+        served.until(lambda: select([idle[number]], [], [], 0)[0])  # noqa: B023 -- at once
+        assert idle[number].recv(1) == b""
+    assert served.ask_tcp(1, pdu("03 0000 0001"))[0] == 0x03
+    for one in idle:
+        one.close()
+
+
 def pdu(text: str) -> bytes:
     return bytes.fromhex(text)
 
