@@ -27,6 +27,7 @@ READ_A_CLOCK = (
     "tests/support/modbus/served.py",
     "tests/crosscheck/modbus/test_modbus_clients.py",
     "tests/properties/fuzz/__main__.py",
+    "tests/attack/campaign.py",
     "tests/architecture/quick.py",
     "tests/architecture/test_quick.py",
 )
