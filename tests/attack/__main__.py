@@ -3,7 +3,7 @@
 python -m tests.attack [ATTACK ...] [--seed N] [--seconds S | --count N] [--first N]
 
 Without a name, all attacks run, each for `--seconds`. Exit status: 0 nothing was found, 1 something
-was, 2 wrong usage.
+was, 2 wrong usage, 130 interrupted.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import sys
 from importlib import import_module
 from typing import Final
 
+from motorhil.harness.cli.main import INTERRUPTED
 from tests.attack.campaign import Attack, Campaign
 
 ATTACKS: Final = {
@@ -48,7 +49,11 @@ def main() -> int:
     failed = False
     for name in options.attacks or ATTACKS:
         campaign = Campaign(attack_named(name), options.seed)
-        campaign.run(options.seconds, options.count, options.first)
+        try:
+            campaign.run(options.seconds, options.count, options.first)
+        except KeyboardInterrupt:
+            print(campaign.summary())
+            return INTERRUPTED
         print(campaign.summary(), flush=True)
         failed = failed or bool(campaign.findings)
     return 1 if failed else 0

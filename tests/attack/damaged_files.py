@@ -97,7 +97,7 @@ def _rig_text() -> str:
     drive = 'plant = { preset = "wheel_60w" }\n'
     one = one.replace(drive, f'eds = "drive.eds"\nobjects = {{ "6085h" = 1000 }}\n{drive}', 1)
     return (
-        one.replace(BUS, f'{BUS}[[fault]]\nbus = "can0"\nname = "f"\nkind = "drop"\nfrom_s = 1.0\n')
+        one.replace(BUS, f'{BUS}[[fault]]\nbus = "can0"\nname = "f"\nkind = "drop"\nfrom_s = 1.0\nuntil_s = 1.01\n')
         .replace('controller = "left"\n', 'controller = "left"\nmodel = "model.toml"\n', 1)
     )  # fmt: skip
 
