@@ -96,10 +96,10 @@ def _rig_text() -> str:
     one = EVERY["cia402"].rig().replace("[motor.left.model]\n" + MODEL, "", 1)
     drive = 'plant = { preset = "wheel_60w" }\n'
     one = one.replace(drive, f'eds = "drive.eds"\nobjects = {{ "6085h" = 1000 }}\n{drive}', 1)
-    return (
-        one.replace(BUS, f'{BUS}[[fault]]\nbus = "can0"\nname = "f"\nkind = "drop"\nfrom_s = 1.0\nuntil_s = 1.01\n')
-        .replace('controller = "left"\n', 'controller = "left"\nmodel = "model.toml"\n', 1)
-    )  # fmt: skip
+    fault = '[[fault]]\nbus = "can0"\nname = "f"\nkind = "drop"\nfrom_s = 1.0\nuntil_s = 1.01\n'
+    motor = 'controller = "left"\n'
+    one = one.replace(BUS, BUS + fault)
+    return one.replace(motor, f'{motor}model = "model.toml"\n', 1)
 
 
 def _lock(folder: Path) -> bytes:
