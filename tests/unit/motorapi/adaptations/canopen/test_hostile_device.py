@@ -50,8 +50,11 @@ def block_upload(hardware: Cia402HwMotor) -> None:
 
 
 def block_download(hardware: Cia402HwMotor) -> None:
-    with hardware.sdo() as sdo:
-        sdo.open(0x1008, mode="wb", block_transfer=True, size=20).write(bytes(20))
+    with (
+        hardware.sdo() as sdo,
+        sdo.open(0x1008, mode="wb", block_transfer=True, size=20) as stream,
+    ):
+        stream.write(bytes(20))
 
 
 def calls_of(hardware: Cia402HwMotor, motor: Cia402Motor) -> list[Callable[[], object]]:
