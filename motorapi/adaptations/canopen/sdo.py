@@ -24,7 +24,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final, final
 
 import canopen
-from canopen.sdo.client import ReadableStream, SdoClient
+from canopen.sdo.client import ReadableStream, SdoClient, WritableStream
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
@@ -104,6 +104,17 @@ class NoAnswer(SdoCommunicationError):  # noqa: N818 -- the name says what happe
 
 
 @final
+class _Download(WritableStream):
+    """A download whose garbage collection sends nothing.
+
+    The inherited class ends an unfinished transfer when it is collected, at any later time.
+    """
+
+    def __del__(self) -> None:
+        self._done = True
+
+
+@final
 class ChannelClient(SdoClient):
     """canopen's SDO client, blocking in the runtime instead of on the wall clock."""
 
@@ -139,6 +150,15 @@ class ChannelClient(SdoClient):
         if announced is not None and announced != len(data):
             raise SdoCommunicationError(f"{len(data)} bytes came of {announced} announced")
         return data
+
+    def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
+        """Write the bytes of an object; after a failure, nothing more is sent for it."""
+        size = len(data)
+        stream = _Download(self, index, subindex, size, force_segment)  # type: ignore[no-untyped-call]  # canopen's
+        at = 0
+        while at < size:
+            at += stream.write(data[at:])  # type: ignore[no-untyped-call]  # canopen's
+        stream.close()  # type: ignore[no-untyped-call]  # canopen's
 
     def request_response(self, sdo_request: bytes | bytearray) -> bytes:
         """Send a request once and return its answer; the caller may repeat it after quarantine.

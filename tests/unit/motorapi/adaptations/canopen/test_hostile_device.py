@@ -1,6 +1,8 @@
 """Arbitrary answers and failing buses raise only errors of the tree."""
 
+import gc
 import random
+import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 
@@ -48,8 +50,11 @@ def block_upload(hardware: Cia402HwMotor) -> None:
 
 
 def block_download(hardware: Cia402HwMotor) -> None:
-    with hardware.sdo() as sdo:
-        sdo.open(0x1008, mode="wb", block_transfer=True, size=20).write(bytes(20))
+    with (
+        hardware.sdo() as sdo,
+        sdo.open(0x1008, mode="wb", block_transfer=True, size=20) as stream,
+    ):
+        stream.write(bytes(20))
 
 
 def calls_of(hardware: Cia402HwMotor, motor: Cia402Motor) -> list[Callable[[], object]]:
@@ -194,3 +199,26 @@ def test_missing_bytes_of_an_answer_are_not_made_up():
     assert str(caught.value) == (
         "node 5: SDO 1000h:00h: 2 bytes (92 01) for the data type u32, of 4"
     )
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        [("605#2100200014000000", None)],
+        [
+            ("605#2100200014000000", "585#6000200000000000"),
+            ("605#0000000000000000", "585#8000200000000008"),  # CiA 301: general error
+        ],
+    ],
+)
+def test_failed_download_sends_nothing_when_collected(answers, monkeypatch):
+    ignored = []
+    monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+    bus = ScriptedBus(Transcript(answers))
+    hardware = Cia402HwMotor(bus, 5, options=OPTIONS)
+    with suppress(MotorError):
+        hardware.download(0x2000, 0, bytes(20))
+    gc.collect()
+    ends = [text for text in bus.texts if text.startswith(("605#0F", "605#1F"))]  # without data
+    assert (ends, ignored) == ([], [])
+    hardware.close()
