@@ -39,13 +39,10 @@ def project(pytester, monkeypatch):
 
 
 @pytest.fixture
-def wrong_direction(project):
-    """Give the motor model the wrong direction of counting."""
-    model = project.path / "wheels/wheel_model.toml"
-    key = "increments_per_rad = "
-    text, count = re.subn(f"^{key}", f"{key}-", model.read_text(), flags=re.M)
-    assert count == 1
-    model.write_text(text)
+def tight_window(project):
+    """Declare a position window that no motor can keep, for clauses that fail."""
+    with (project.path / "wheels/rig.toml").open("a") as rig:
+        rig.write("\n[conformance]\nwindow_rad = 1e-9\n")
 
 
 def results_of(document):
@@ -54,7 +51,7 @@ def results_of(document):
     return {one["id"]: words[one["result"]] for one in json.loads(document)["clauses"]}
 
 
-@pytest.mark.usefixtures("wrong_direction")
+@pytest.mark.usefixtures("tight_window")
 def test_several_workers_find_the_same_as_one_process(project):
     """Compare clauses and tests with rigs; each failure leaves its own record."""
     words = ["--adaptation", "cia402", "--rig", "wheels/rig.toml"]
@@ -79,7 +76,7 @@ def test_several_workers_find_the_same_as_one_process(project):
 
 
 @pytest.mark.parametrize("ci", ["", "true"])  # if set, pytest does not shorten its summary
-@pytest.mark.usefixtures("wrong_direction")
+@pytest.mark.usefixtures("tight_window")
 def test_failed_clause_reports_promise_result_and_command(project, capsys, monkeypatch, ci):
     monkeypatch.setenv("CI", ci)
     result = project.runpytest_inprocess(*ONE, "wheels/rig.toml::UNIT-01", "--seed=5")

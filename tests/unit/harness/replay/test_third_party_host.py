@@ -63,8 +63,8 @@ def recorded(tmp_path_factory):
     (folder / "host.py").write_text(HOST)
     path = str(folder / "bench.mcap")
     assert main(["run", str(folder / "rig.toml"), str(folder / "host.py"), "-o", path]) == 0
-    for ending in ("log", "csv"):
-        assert main(["convert", path, "-o", str(folder / f"bench.{ending}")]) == 0
+    for name, form in (("bench.log", "candump-x"), ("bench.csv", "csv")):
+        assert main(["convert", path, "-o", str(folder / name), "--to", form]) == 0
     log = (folder / "bench.log").read_text()
     plain = re.sub(r" [RT]$", "", log, flags=re.MULTILINE)
     (folder / "plain.log").write_text(plain)
