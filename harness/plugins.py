@@ -4,6 +4,7 @@ Their names come from package metadata. A module is loaded only when one of its 
 
     motorhil.controllers    build(settings, context) -> motorhil.emulators.controller.Controller
     motorhil.adaptations    build(bus, settings, model, runtime) -> motorapi.Motor
+    motorhil.decoders       build(node_id) -> decode(frame) -> BusMessage | None
 
 By default both build for CAN buses. An attribute lists other kinds of buses: `build.bus_kinds =
 ("modbus_rtu", "modbus_tcp")`. An adaptation then gets a ByteLine in place of a bus, and `unit` in
@@ -14,6 +15,9 @@ and a rig's motor of its kind names neither controller nor bus.
 
 An adaptation can have a rig of its own for `motorhil conform`, used if the command line names none:
 `build.conformance_rig`, a path relative to the folder of its module.
+
+A decoder has the name of the controllers whose frames it describes, for `motorhil show`. `decode`
+gets every frame of their bus (traces/can_frame.py), and returns None for those of others.
 
 A plugin that is not installed is named by its target, "package.module:function".
 
@@ -33,6 +37,7 @@ from typing import Any, Final, final
 
 CONTROLLERS: Final = "motorhil.controllers"
 ADAPTATIONS: Final = "motorhil.adaptations"
+DECODERS: Final = "motorhil.decoders"
 SETTINGS: Final = {
     CONTROLLERS: "motorhil.controller_settings",
     ADAPTATIONS: "motorhil.adaptation_settings",

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import (
@@ -19,15 +19,14 @@ from motorhil.harness.cli.options import (
 )
 from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
+from motorhil.harness.recording.decoders import GivenDecoder, description_for
 from motorhil.harness.rig.config.toml import one_line
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.protobuf import Value
 
-if TYPE_CHECKING:
-    from motorhil.harness.recording.dbc import Dbc
-
+_NODE_MAX: Final = 255
 _NS: Final = 1_000_000_000
 _POLL_S: Final = 0.2  # a recorder writes once a second
 
@@ -50,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--node",
         action="append",
-        type=whole(0, 255),
+        type=whole(0, _NODE_MAX),
         metavar="N",
         help="only this node or Modbus unit",
     )
@@ -58,6 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_eds(parser)
     parser.add_argument(
         "--dbc", metavar="FILE", help="DBC with the messages and signals of frames; needs cantools"
+    )
+    parser.add_argument(
+        "--decoder",
+        action="append",
+        type=_given_decoder,
+        default=[],
+        metavar="[BUS:]NODE=NAME",
+        help="decoder of a node's frames, of an installed package; may be repeated",
     )
     parser.add_argument(
         "--brief",
@@ -81,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     tell = partial(print, "motorhil show:", file=sys.stderr)
     attachments = attachments_of(options.eds)
     with open_recording(options.file, tell, attachments, options.max_memory) as trace:
-        story = Story(trace, describe=None if options.dbc is None else _dbc(options.dbc))
+        story = Story(trace, describe=description_for(trace, options.dbc, options.decoder, tell))
         wanted = _Filter(options, story)
         outside: list[str] = []
         from_ns, to_ns = span_of(options, trace.path, trace.span_ns(), outside.append)
@@ -104,10 +111,15 @@ def run(options: argparse.Namespace) -> int:
     return PASSED
 
 
-def _dbc(path: str) -> "Dbc":
-    from motorhil.harness.recording.dbc import Dbc
-
-    return Dbc(path)
+def _given_decoder(text: str) -> GivenDecoder:
+    place, _, name = text.partition("=")
+    bus, _, node = place.rpartition(":")
+    if not name or not (node.isascii() and node.isdecimal()) or int(node) > _NODE_MAX:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not [BUS:]NODE=NAME with a node-ID of 0 to {_NODE_MAX}, such as "
+            "can0:1=odrive"
+        )
+    return GivenDecoder(bus, int(node), name)
 
 
 def followed(
@@ -153,7 +165,7 @@ def facts_of(line: Line) -> dict[str, object]:
         table["id"] = line.identifier
     event = line.said
     if event is not None:
-        table |= {"kind": event.kind.value, "node": event.node}
+        table |= {"kind": event.kind.value, "node": line.node}
         if event.index is not None:
             table |= {"index": event.index, "subindex": event.subindex}
         table["facts"] = [
@@ -221,8 +233,7 @@ class _Filter:
             return False
         event = line.said
         to_all = event is not None and event.kind is Kind.NMT and event.node is None
-        node = None if event is None else event.node
-        if self._nodes is not None and node not in self._nodes and not to_all:
+        if self._nodes is not None and line.node not in self._nodes and not to_all:
             return False
         return self._motors is None or self._has_motor(line) or to_all
 
@@ -233,6 +244,11 @@ class _Filter:
         event = line.said
         if event is None or event.kind not in PERIODIC:
             return True
+        if line.message is not None:
+            place = (line.place, line.node, event.kind, line.message.name)
+            is_new = self._known.get(place) != line.message
+            self._known[place] = line.message
+            return is_new
         changed = False
         for fact in event.facts:
             if fact.motion:

@@ -42,7 +42,7 @@ class Dbc:
             one.frame_id | (EFF if one.is_extended_frame else 0): one for one in database.messages
         }
 
-    def __call__(self, frame: bytes) -> BusMessage | None:
+    def __call__(self, _bus: str, frame: bytes) -> BusMessage | None:
         """Return the message in a frame; None for an identifier that the file does not have."""
         told = fields(frame)
         if told.can_id & (ERR | RTR):

@@ -70,6 +70,7 @@ INTERPRETED = {
     "works on recordings, a chunk at a time": (
         "harness/recording/conversion.py",
         "harness/recording/dbc.py",
+        "harness/recording/decoders.py",
         "harness/recording/ownership.py",
         "harness/recording/sources.py",
         "harness/recording/writer.py",

@@ -82,6 +82,21 @@ def test_plugins_are_found_by_entry_points(venv):
         assert any(row.split()[0] == "odrive" and "motorhil-odrive 0.1.0" in row for row in rows)
 
 
+def test_installed_decoder_tells_the_frames_of_a_rig(venv, tmp_path):
+    code = (
+        "from pathlib import Path; import motorhil_odrive\n"
+        "from motorhil.harness.rig.rig import Rig\n"
+        "path = Path(motorhil_odrive.__file__).parent / 'rig.toml'\n"
+        "with Rig.open(path, record='a.mcap') as rig:\n"
+        "    rig.runtime.wait_until(lambda: False, 0.6)\n"
+    )
+    run(venv / "python", "-c", code, cwd=tmp_path)
+    printed = run(venv / "motorhil", "show", "a.mcap", "--id", "29", cwd=tmp_path)  # 1 << 5 | 9
+    assert printed.splitlines()[-1].endswith(
+        "can0      Get_Encoder_Estimates: Pos_Estimate = 0 rev, Vel_Estimate = 0 rev/s"
+    )
+
+
 def test_outsider_tests_pass(venv):
     folder = venv.parents[1] / "outsider"
     printed = run(venv / "python", "-m", "pytest", "-p", "no:cacheprovider", cwd=folder)

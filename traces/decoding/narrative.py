@@ -76,17 +76,23 @@ class BusMessage:
         name: its name.
         signals: its signals, in the order of the description.
         problem: why its data cannot be decoded; "" if it was.
+        node: the node that it comes from or goes to; None: as in CANopen.
     """
 
     name: str
     signals: tuple[Signal, ...] = ()
     problem: str = ""
+    node: int | None = None
 
     def __str__(self) -> str:
         if self.problem:
             return f"{self.name}: not decodable: {self.problem}"
         told = (f"{name} = {_shown(value)} {unit}".rstrip() for name, value, unit in self.signals)
         return f"{self.name}: {', '.join(told)}".rstrip(": ")
+
+
+Describe = Callable[[str, bytes], BusMessage | None]
+"""Returns the message in a frame (bus, frame), if it knows that."""
 
 
 def _shown(value: int | float | str) -> str:
@@ -122,6 +128,13 @@ class Line:
     direction: Direction = Direction.UNKNOWN
     message: BusMessage | None = None
 
+    @property
+    def node(self) -> int | None:
+        """The node or unit of traffic, if it has one."""
+        if self.message is not None and self.message.node is not None:
+            return self.message.node
+        return None if self.said is None else self.said.node
+
 
 @final
 class Story:
@@ -131,7 +144,7 @@ class Story:
         self,
         trace: Trace,
         names: RecordedNames | None = None,
-        describe: Callable[[bytes], BusMessage | None] | None = None,
+        describe: Describe | None = None,
     ) -> None:
         """Start before the first message.
 
@@ -224,9 +237,9 @@ class Story:
         identifier = None  # None for an error message: its bits are not an identifier
         if said.kind is not Kind.BUS_ERROR:
             identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
-        about = self._about(bus, said.node)
-        message = None if self._describe is None else self._describe(frame)
+        message = None if self._describe is None else self._describe(bus, frame)
         text = said.text if message is None else str(message)
+        node = said.node if message is None or message.node is None else message.node
         return Line(
             time_ns,
             topic,
@@ -234,7 +247,7 @@ class Story:
             text,
             said,
             identifier,
-            about,
+            self._about(bus, node),
             message=message,
             direction=direction,
         )
