@@ -124,6 +124,12 @@ def own_locks(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def own_cores() -> None:
+    """Run the command of this checkout on its sources, whatever was compiled from them."""
+    os.environ["MOTORHIL_PURE"] = "1"
+
+
+@pytest.fixture(scope="session", autouse=True)
 def own_width() -> None:
     """Fix the width of help texts and tables, independent of the terminal."""
     os.environ["COLUMNS"] = "80"

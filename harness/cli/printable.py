@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final, TextIO, cast, final
 
-# C0 without tab and line feed, C1, and the marks that turn the direction of text round
-_CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+# C0 without tab and line feed, C1, the marks that turn the direction of text round, and the bytes
+# of file names that are not UTF-8 (PEP 383)
+_CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 _GOOD, _BAD, _OPEN = "32", "31", "33"  # green, red, yellow: ECMA-48, 8.3.117 (SGR)
 _COLOURS: Final = {

@@ -67,11 +67,12 @@ def run(options: argparse.Namespace) -> int:
         layout = options.foxglove_layout
         if layout is not None:
             _write(layout, json.dumps(layout_of(trace), indent=2) + "\n")
-    facts = {"page": str(target), "messages": messages, "bytes": len(page.encode())}
+    size = target.stat().st_size
+    facts = {"page": str(target), "messages": messages, "bytes": size}
     if options.json:
         print(json.dumps({**facts, "layout": None if layout is None else str(layout)}))
     else:
-        print(f"{target}: {messages} messages, {len(page.encode()) / 1e6:.1f} MB")
+        print(f"{target}: {messages} messages, {size / 1e6:.1f} MB")
         if layout is not None:
             print(f"{layout}: a layout for Foxglove")
     for name in sorted({*rates, *data_rates} - set(found.buses)):
@@ -90,7 +91,7 @@ def _refuse_lost(source: str, page: Path, layout: Path | None) -> None:
 
 def _write(target: Path, text: str) -> None:
     with whole_file(str(target)) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="backslashreplace"))  # a name that is not UTF-8
 
 
 def add_bit_rates(parser: argparse.ArgumentParser, help_text: str) -> None:

@@ -62,8 +62,8 @@ def record(opcode: int, content: bytes) -> bytes:
 
 
 def string(text: str) -> bytes:
-    """Encode a string with its length."""
-    data = text.encode()
+    """Encode a string with its length; bytes of file names that are not UTF-8 are escaped."""
+    data = text.encode(errors="backslashreplace")
     return UINT32.pack(len(data)) + data
 
 

@@ -76,8 +76,8 @@ def test_all_panels_are_drawn_over_the_whole_recording(opened):
     assert len(drawn) == 12 + 4 * 14
     assert all(count > 0 for count, _, _ in drawn.values())
     assert {(begin < 0.0, end > 17.9) for _, begin, end in drawn.values()} == {(True, True)}
-    assert drawn["load of can0 over time"][0] == 10_433
-    assert drawn["load of can1 by identifier"][0] == 7_348
+    assert drawn["load of can0 over time"][0] == 10_437
+    assert drawn["load of can1 by identifier"][0] == 7_352
 
 
 def test_moving_motor_has_coloured_pixels(opened):

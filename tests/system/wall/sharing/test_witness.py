@@ -4,6 +4,8 @@ import contextlib
 import os
 import shutil
 import signal
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -134,14 +136,18 @@ def test_holder_without_a_witness_is_told_of_the_next(holder, lock, wall, folder
     assert holder.ask("release") == "released"
 
 
+@pytest.fixture
+def robot():
+    """Return a folder that other users can reach: those of pytest are private."""
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_holder_of_another_user_is_told_as_such(tmp_path, wall):
-    folder = tmp_path / "robot"
-    folder.mkdir()
+def test_holder_of_another_user_is_told_as_such(robot, wall):
+    folder = robot
     os.chown(folder, -1, SOMEBODY)
     folder.chmod(0o2770)
-    for above in [tmp_path, *tmp_path.parents][:3]:
-        above.chmod(0o755)
     lock = ProcessLock("pan", "the pan", LockDirectory(folder))
     hold = lock.acquire(wall, "driving")
     (folder / "pan").unlink()

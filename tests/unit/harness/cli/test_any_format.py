@@ -1,5 +1,7 @@
 """Verbs read recordings of any format directly, and say what they read as which."""
 
+import os
+
 import pytest
 
 from motorhil.harness.rig.config.scaffold import EXAMPLES
@@ -57,3 +59,13 @@ def test_unknown_format_names_the_known_ones(bench, say):
         status, out, err = say(*words)
         assert (status, out) == (2, "")
         assert "a.txt: holds no CAN traffic in a format known here; formats are mcap" in err
+
+
+@pytest.mark.parametrize(("verb", "status"), [("show", 0), ("report", 0), ("judge", 3)])
+def test_file_whose_name_is_not_utf_8_is_read(bench, say, verb, status):
+    name = os.fsdecode(b"n\xff.log")
+    with open(name, "w") as file:
+        file.write("(1.0) can0 181#0102\n")
+    found, out, err = say(verb, name)
+    assert found == status
+    assert "n\\udcff." in out + err
