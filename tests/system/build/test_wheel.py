@@ -86,7 +86,8 @@ def test_first_push_finds_all_that_its_job_needs(wheel, tmp_path, monkeypatch):
     start = "from motorhil.harness.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))"
     new = [sys.executable, "-c", start, "new", "wheels", "--ci", "gitlab"]
     done = subprocess.run(new, capture_output=True, text=True, check=True, timeout=60)
-    assert "commit what this makes: python -m pip wheel --no-deps --wheel-dir vendor " in done.stderr
+    told = "commit what this makes: python -m pip wheel --no-deps --wheel-dir vendor "
+    assert told in done.stderr
     Path("vendor").mkdir()
     shutil.copy(wheel, "vendor")
     own, *others = Path("requirements.txt").read_text().splitlines()
