@@ -138,6 +138,7 @@ def test_job_runs(bench, say, tmp_path):
     path = f"{none}:{Path(sys.executable).parent}:/usr/bin:/bin"
     summary = bench / "summary"
     environment = {"PATH": path, "GITHUB_STEP_SUMMARY": str(summary), "HOME": str(tmp_path)}
+    environment["MOTORHIL_PURE"] = "1"  # whatever was compiled in this clone
 
     def run(command):
         return subprocess.run(
