@@ -42,8 +42,16 @@ _HEAD_BYTES: Final = 1 << 16
 _HEAD_LINES: Final = 200
 
 
-def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
+def recorded_frames(
+    trace: Trace, findings: Findings, from_ns: int | None = None, to_ns: int | None = None
+) -> Iterator[Frame]:
     """Yield the CAN frames of a recording in written order; other messages become notes.
+
+    Args:
+        trace: the recording.
+        findings: notes and problems are added to it.
+        from_ns: the begin of the span [ns]; None: that of the recording.
+        to_ns: the end of the span [ns]; None: that of the recording.
 
     Raises:
         TraceError: a chunk is damaged.
@@ -51,7 +59,7 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
     left_out: dict[str, int] = {}
     known: dict[int, str | None] = {}
     decode = FrameDecoder().decode
-    for number, (channel, time_ns, payload) in enumerate(trace.messages(), 1):
+    for number, (channel, time_ns, payload) in enumerate(trace.messages(None, from_ns, to_ns), 1):
         bus = known.get(channel.number, "")
         if bus == "":
             ours = channel.schema is not None and channel.schema.name == CAN_FRAME.name
