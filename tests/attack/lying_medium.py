@@ -48,12 +48,7 @@ _TRIES: Final = 3  # a call may find out only now what the trouble has done
 _ROUNDING_RAD: Final = 0.001
 _VELOCITY_RAD_S: Final = 0.15
 _CAN: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE, FaultKind.CORRUPT)
-# Counts do not show which cycle they belong to (motorapi/adaptations/host_servo/cycle.py): the
-# velocity computed from delayed ones is wrong, and no host can know.
-_CYCLIC: Final = tuple(kind for kind in _CAN if kind is not FaultKind.DELAY)
 _SERIAL: Final = tuple(SerialFaultKind)
-# TRUNCATE breaks a connection for ever, which the rig, not the host, has opened.
-_TCP: Final = tuple(kind for kind in _SERIAL if kind is not SerialFaultKind.TRUNCATE)
 # An answer sent twice may be heard as that to the next request, which RTU does not number.
 _RTU: Final = tuple(kind for kind in _SERIAL if kind is not SerialFaultKind.REPEAT)
 _TIMED: Final = (SerialFaultKind.DELAY, SerialFaultKind.PAUSE, SerialFaultKind.REPEAT)
@@ -164,10 +159,7 @@ class Trouble:
 
     def _can(self, name: str, common: dict[str, Any]) -> FaultRule:
         dice = self._dice
-        is_cyclic = any(
-            one.adaptation == "software" for one in self._rig.description.motors.values()
-        )
-        kind = dice.choice(_CYCLIC if is_cyclic else _CAN)
+        kind = dice.choice(_CAN)
         more: dict[str, Any] = {}
         if kind is FaultKind.DELAY:
             more = {"delay_ns": dice.randrange(1, DELAY_MAX_NS)}
@@ -182,7 +174,7 @@ class Trouble:
 
     def _serial(self, name: str, common: dict[str, Any], is_tcp: bool) -> SerialFaultRule:
         dice = self._dice
-        kind = dice.choice(_TCP if is_tcp else _RTU)
+        kind = dice.choice(_SERIAL if is_tcp else _RTU)
         more: dict[str, Any] = {}
         if kind in _TIMED:
             more["delay_ns"] = dice.randrange(1, DELAY_MAX_NS)

@@ -114,7 +114,7 @@ class ModbusUnit:
 
         Values read from the drive, or written to it, are valid only that long.
         """
-        return self.physical.token, self.silences
+        return self.physical.token, self.silences + self.line.reconnections
 
     def _ask(self, request: "ModbusPDU", owned: "Owned | None" = None) -> "ModbusPDU":
         try:
