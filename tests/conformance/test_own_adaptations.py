@@ -27,7 +27,8 @@ NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
     "ideal": frozenset(
         {
-            *("STATE-02", "MEAS-02", "MEAS-03", "SET-04", "SET-07", "TRAJ-06"),  # no load
+            *("STATE-02", "MEAS-02", "MEAS-03", "MEAS-05"),  # no load
+            *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "SHARE-02", "SYNC-05", "SYNC-06"),  # no bus
             *(f"LOST-{number:02}" for number in range(1, 11)),
             *_OF_CAN,

@@ -7,7 +7,7 @@ Where instants of a group are compared, its members move the same distance. Then
 profile, and reach each share of it at the same time.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
@@ -562,7 +562,7 @@ def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
     return group
 
 
-def positions_of(bench: RigProtocol, group: MotorGroup) -> list[float]:
+def positions_of(bench: RigProtocol, group: Iterable[Motor]) -> list[float]:
     """Return the positions of all members [U]."""
     return [position_of(bench, motor) for motor in group]
 
@@ -570,8 +570,10 @@ def positions_of(bench: RigProtocol, group: MotorGroup) -> list[float]:
 class GroupPositions:
     """Records the positions of a group's members from its creation; times are in ns."""
 
-    def __init__(self, bench: RigProtocol, group: MotorGroup, period_s: float = FINE_S) -> None:
-        self._bench, self._group = bench, group
+    def __init__(
+        self, bench: RigProtocol, group: Iterable[Motor], period_s: float = FINE_S
+    ) -> None:
+        self._bench, self._group = bench, tuple(group)
         self.samples: list[tuple[int, list[float]]] = []
         self._timer = bench.runtime.every(period_s, self._sample)
         self._sample()
