@@ -158,9 +158,9 @@ class Survey:
 
     def __init__(self) -> None:
         self.buses: list[str] = []
-        self.first_ns = 0
-        self.lowest_ns = 0
-        self.frames = 0
+        self.first_ns: int = 0
+        self.lowest_ns: int = 0
+        self.frames: int = 0
         self.counts: dict[Feature, int] = {}
 
     @property
