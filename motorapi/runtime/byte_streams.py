@@ -66,7 +66,7 @@ class TcpLine:
         self.address: Final = (host, port)
         self.channel_info: Final = self.name  # its name in messages of the runtime
         self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed = False
+        self.is_closed: bool = False
         try:
             self._socket = socket.create_connection((host, port), timeout_s)
         except OSError as error:
@@ -163,7 +163,7 @@ class SerialLine:
         self.channel_info: Final = path
         self._character_ns: Final = bits * _NS // baud_bit_s
         self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed = False
+        self.is_closed: bool = False
         self._reads = True
         self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: a pyserial object
 

@@ -164,7 +164,7 @@ class FrameReader:
 
     def __init__(self) -> None:
         self.framer: Final = FramerRTU(DecodePDU(False))
-        self.heard = b""
+        self.heard: bytes = b""
 
     def begin(self) -> None:
         """Forget received bytes, as a request is sent."""
@@ -189,7 +189,7 @@ class StreamReader:
 
     def __init__(self) -> None:
         self.framer: Final = FramerSocket(DecodePDU(False))
-        self.heard = b""
+        self.heard: bytes = b""
         self._buffer = b""
 
     def begin(self) -> None:
@@ -273,7 +273,7 @@ class ModbusLine:
         self.line: Final = line
         self.runtime: Final = runtime
         self.name: Final = line.name
-        self.strays = 0
+        self.strays: int = 0
         self.users = 0
         self._lock = lock
         self._hold: LockHandle | None = None
