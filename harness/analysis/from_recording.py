@@ -75,7 +75,7 @@ class RecordedBus:
 
     def __init__(self, name: str, frames_max: int | None = None) -> None:
         """Start without frames; `frames_max` bounds the memory, None does not."""
-        self.left_out = 0
+        self.left_out: int = 0
         self._name = name
         self._room = -1 if frames_max is None else frames_max
         self._heard: dict[int, Heard] = {}

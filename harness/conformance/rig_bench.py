@@ -101,7 +101,7 @@ class RigBench:
 
     def _switch_on(self) -> None:
         self._scales: dict[str, float] = {}
-        self.rig = Rig(self._description, seed=self.seed, record=self._record)
+        self.rig: Rig = Rig(self._description, seed=self.seed, record=self._record)
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
 
     def _time_is_up(self, now_ns: int) -> None:

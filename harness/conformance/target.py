@@ -69,8 +69,8 @@ class Target:
     def __init__(self, job: Job) -> None:
         build = _loaded(job.adaptation) if job.adaptation else None
         described = _described(Path(job.rig) if job.rig else _own_rig(job.adaptation, build))
-        self.rig = bench_description(described, job.adaptation or None)
-        self.seed = described.seed if job.seed is None else job.seed
+        self.rig: RigDescription = bench_description(described, job.adaptation or None)
+        self.seed: int = described.seed if job.seed is None else job.seed
         first = self.rig.motors[self.rig.conformance.motors[0]]
         self._places = _places(job, self.rig) if job.on else None
         self.deadline_s: Final = _deadline_s(self.rig.conformance, is_live=bool(job.on))

@@ -199,8 +199,8 @@ class Child:
     """
 
     def __init__(self) -> None:
-        self.output = b""
-        self.last_stacks = ""
+        self.output: bytes = b""
+        self.last_stacks: str = ""
         self._stacks = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the child
         requests, self._requests = os.pipe()
         self._replies, replies = os.pipe()

@@ -201,7 +201,7 @@ class HubTap:
             self._link = HubLink.with_all(place.channel)
         except CanError as error:
             raise PlaceError(f"--on {place.text}: {error}") from None
-        self.default_name = self._link.bus
+        self.default_name: str = self._link.bus
         self.dropped = 0
         self.source = 0
         self._clocks = clocks
@@ -252,7 +252,7 @@ class HubClocks:
         """Decide from the recorded places whether the hub's own times are kept."""
         hubs = {place.channel.partition("#")[0] for place in places if place.kind is Kind.HUB}
         self.moved_ns: dict[str, int] = {}
-        self.keeps = len(hubs) == 1 and all(place.kind is Kind.HUB for place in places)
+        self.keeps: bool = len(hubs) == 1 and all(place.kind is Kind.HUB for place in places)
 
     def shift(self, path: str, time_ns: int, now_ns: int) -> int:
         """Return the shift of this hub's times [ns], fixed by its first frame at `time_ns`."""
@@ -337,8 +337,8 @@ class PythonCanTap:
 
     def __init__(self, place: Place, options: Mapping[str, object]) -> None:
         """Open the bus and start reading it. Raises PlaceError if it cannot be opened."""
-        self.default_name = topic_name(place.channel)
-        self.dropped = 0
+        self.default_name: str = topic_name(place.channel)
+        self.dropped: int = 0
         self.source = 0
         self._bus = open_bus(place, options)
         self._text = place.text

@@ -69,7 +69,7 @@ class Effort:
     """
 
     def __init__(self, steps: int = STEPS_MAX) -> None:
-        self.left = steps
+        self.left: int = steps
 
     def allows(self, steps: int) -> bool:
         """Take some steps; return False if the analysis is to end."""

@@ -171,9 +171,9 @@ class Survey:
 
     def __init__(self) -> None:
         self.buses: list[str] = []
-        self.first_ns = 0
-        self.lowest_ns = 0
-        self.frames = 0
+        self.first_ns: int = 0
+        self.lowest_ns: int = 0
+        self.frames: int = 0
         self.counts: dict[Feature, int] = {}
         self._last = (0, 0)
 

@@ -131,12 +131,12 @@ class Trace:
     def __init__(self, path: str, file: BinaryIO, memory_max: int = MEMORY_MAX) -> None:
         """Scan an open file; use `read_trace` instead."""
         self.path = path
-        self.library = ""
+        self.library: str = ""
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[Attachment] = []
         self.channels: dict[int, Channel] = {}
         self.cut: Cut | None = None
-        self.salvaged = 0
+        self.salvaged: int = 0
         self._file = file
         self._memory_max = memory_max
         self._schemas: dict[int, Schema] = {}

@@ -228,7 +228,7 @@ class Assembly:
             file: open for writing, empty; its OSError is passed on to the caller.
             indexed: True to write a message index after each chunk.
         """
-        self.messages = 0
+        self.messages: int = 0
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._file = file

@@ -39,13 +39,13 @@ class ProfileVelocity(Mode):
 
     def enter(self, word: int, now_ns: int) -> None:
         """Ramp to the present 60FFh at once."""
-        self.halted = word & CW_HALT != 0
+        self.halted: bool = word & CW_HALT != 0
         self._run()
 
     def leave(self) -> None:
         """Clear the mode's state."""
         self.halted = False
-        self.limited = False
+        self.limited: bool = False
         self._slips = False
         self._wake_ns = NEVER
 
@@ -109,13 +109,13 @@ class ProfileTorque(Mode):
 
     def enter(self, word: int, now_ns: int) -> None:
         """Ramp to the present torque 6071h."""
-        self.halted = word & CW_HALT != 0
+        self.halted: bool = word & CW_HALT != 0
         self._run()
 
     def leave(self) -> None:
         """Clear the mode's state."""
         self.halted = False
-        self.limited = False
+        self.limited: bool = False
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
         """Obey bit 8, halt: brake to standstill (605Dh) and hold."""

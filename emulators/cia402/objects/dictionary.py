@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, final
 
 from motorhil.emulators.canopen.codes import OK, AbortCode
-from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
 from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges, watch
 from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
 from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
@@ -116,7 +116,7 @@ class DriveObjects:
         self._controlword.writer = self._write_controlword
         self._mode = ensure(0x6060, 0, _D.INTEGER8, EMULATED_MODES["pp"])
         self._mode.writer = self._write_mode
-        self.error_code = ensure(0x603F, 0, _D.UNSIGNED16, 0)
+        self.error_code: Variable = ensure(0x603F, 0, _D.UNSIGNED16, 0)
         self._supported = ensure(0x6502, 0, _D.UNSIGNED32, modes_with_target(od))
         self.supported_modes: int = self._honest_modes()
 

@@ -167,7 +167,7 @@ class FrameReader:
 
     def __init__(self) -> None:
         self.framer: Final = FramerRTU(DecodePDU(False))
-        self.heard = b""
+        self.heard: bytes = b""
 
     @property
     def is_inside(self) -> bool:
@@ -197,7 +197,7 @@ class StreamReader:
 
     def __init__(self) -> None:
         self.framer: Final = FramerSocket(DecodePDU(False))
-        self.heard = b""
+        self.heard: bytes = b""
         self._buffer = b""
 
     @property
@@ -291,8 +291,8 @@ class ModbusLine:
         self.line: Final = line
         self.runtime: Final = runtime
         self.name: Final = line.name
-        self.strays = 0
-        self.reconnections = 0
+        self.strays: int = 0
+        self.reconnections: int = 0
         self.users = 0
         self._lock = lock
         self._hold: LockHandle | None = None
