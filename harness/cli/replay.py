@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import (
     add_eds,
+    add_max_memory,
     add_seed,
     attachments_of,
     identifier,
@@ -90,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", type=Path, metavar="RIG", help="a rig file (default: the recording's own rig)"
     )
     add_eds(parser)
+    add_max_memory(parser)
     parser.add_argument(
         "--set-points",
         choices=("exact", "any"),
@@ -203,7 +205,8 @@ def run(options: argparse.Namespace) -> int:
         refuse_source(options.file, options.output)
     options.named = options.file
     tell = partial(print, "motorhil replay:", file=sys.stderr)
-    with as_mcap(options.file, tell, attachments_of(options.eds)) as options.file:
+    attachments = attachments_of(options.eds)
+    with as_mcap(options.file, tell, attachments, options.max_memory) as options.file:
         try:
             status: int = _MODES[options.mode](options)
         except RigError as error:  # the user knows only the file that was converted
