@@ -13,7 +13,6 @@ import sys
 import tempfile
 from contextlib import ExitStack, contextmanager
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -28,6 +27,7 @@ from motorhil.harness.cli.options import (
     real,
     whole,
 )
+from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine, following
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.rig.config.toml import RigError
@@ -204,7 +204,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output is not None:
         refuse_source(options.file, options.output)
     options.named = options.file
-    tell = partial(print, "motorhil replay:", file=sys.stderr)
+    tell = teller("replay")
     attachments = attachments_of(options.eds)
     with as_mcap(options.file, tell, attachments, options.max_memory) as options.file:
         try:
@@ -482,7 +482,7 @@ def _choice(options: argparse.Namespace) -> "Choice":
     def chosen(values: "list[str] | list[int] | None") -> "tuple[object, ...] | None":
         return None if values is None else tuple(values)
 
-    tell = partial(print, "motorhil replay:", file=sys.stderr)
+    tell = teller("replay")
     span = span_in(options.file, options)
     from_ns, to_ns = span_of(options, options.named, span, tell)
     return Choice(
@@ -519,7 +519,7 @@ def _open(
     interface: dict[str, object] = {"bitrate": options.bitrate} if options.bitrate else {}
     if options.fd:
         interface["fd"] = True
-    note = partial(print, "motorhil replay:", file=sys.stderr, flush=True)
+    note = teller("replay")
     sinks: dict[str, Sink] = {}
     for name, place in places_of_buses(options.on, buses).items():
         if rig is not None:
