@@ -2,8 +2,8 @@
 
 Exit status, the same for every verb: 0 passed, 1 the thing under test failed, 2 wrong usage, 3
 nothing could be judged, 130 interrupted, 141 the reader of its results left. Results go to stdout,
-reasons to stderr. The module of a verb has `add_arguments(parser)` and `run(arguments)`. Words after
-`--` on the command line are `arguments.rest`, which is None without `--`.
+reasons to stderr. The module of a verb has `add_arguments(parser)` and `run(arguments)`. Words
+after `--` on the command line are `arguments.rest`, which is None without `--`.
 """
 
 import argparse
