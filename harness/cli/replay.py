@@ -445,7 +445,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
     with following("replay", [options.file]):
         found = survey(_frames(options, choice, findings))
     for _, problem in findings.problems[:_TRAFFIC_SHOWN]:
-        print(f"{options.file}: {problem}", file=sys.stderr)
+        print(f"{options.named}: {problem}", file=sys.stderr)
     if not found.frames:
         raise RigError(options.file, "holds no CAN frame to send", "change or drop the filters")
     with ExitStack() as cleanup:
@@ -457,7 +457,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
             return WRONG_USAGE
         for bus, count in found.frames.items():
             if bus not in sinks:
-                print(f"{options.file}: {count} frames of {bus} are not sent", file=sys.stderr)
+                print(f"{options.named}: {count} frames of {bus} are not sent", file=sys.stderr)
         speed = options.speed or 1.0
         scale = None if math.isinf(speed) else Fraction(speed)
         replay = TrafficReplay(sinks, runtime, found.first_ns, scale)
@@ -603,7 +603,7 @@ def _print_traffic_result(
         print(json.dumps(facts))
         return
     for bus, count in done.errors.items():
-        print(f"{options.file}: {count} error frames of {bus} cannot be sent", file=sys.stderr)
+        print(f"{options.named}: {count} error frames of {bus} cannot be sent", file=sys.stderr)
     each = ", ".join(f"{n} of {bus} to {sinks[bus].name}" for bus, n in done.sent.items())
     each = each.replace(" of", " frames of", 1) or "nothing"
     text = f"{each} in {took_s:.3f} s, recorded in {found.span_ns / _NS:.3f} s"
