@@ -300,6 +300,9 @@ class CanBus(CanSegment):
             elif not self._step_one(due_ns, out):
                 seam.hear_late(due_ns, out)
             due_ns = self._deadline_with_faults_ns()
+        if seam.plan.end_rules(now_ns):
+            for segment in self._segments():
+                segment.count_members()
         self._settle()
 
     def _step_one(self, due_ns: int, out: list[Delivery]) -> bool:
