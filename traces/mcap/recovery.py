@@ -361,7 +361,8 @@ class Assembly:
         for opcode, number in self._spare:
             if opcode == records.CHANNEL:
                 self._name(number)
-        self._put(self._summary.ending(self._offset, self._crc))
+        for data in self._summary.ending(self._offset, self._crc):
+            self._put(data)
 
     def _put_chunk(self, chunk: Chunk, places: dict[int, list[int]]) -> None:
         times = [time for of_channel in places.values() for time in of_channel[::2]]
