@@ -153,12 +153,17 @@ class Drive:
 
     def set(self, entry: Entry, value: int) -> None:
         """Download an optional object or value; raise NotApplicable if the drive refuses it."""
+        code = self.offer_value(entry, value)
+        if code:
+            raise NotApplicable(f"the drive refuses {value} in {entry}: {code:08X}h")
+
+    def offer_value(self, entry: Entry, value: int) -> int:
+        """Download an object; return the abort code, or 0 if the drive takes the value."""
         try:
             self._download(entry, value)
         except SdoAbortedError as error:
-            raise NotApplicable(
-                f"the drive refuses {value} in {entry}: {error.code:08X}h"
-            ) from None
+            return int(error.code)
+        return 0
 
     def refusal(self, index: int, subindex: int, data: bytes | None = None) -> int:
         """Return the abort code of an upload, or of a download of `data`; 0 if it is accepted."""
@@ -386,12 +391,21 @@ class Drive:
         self.await_velocity(pace.velocity, 3 * pace.ramp_s + 0.5)
 
     def await_velocity(self, velocity: int, within_s: float) -> None:
-        """Expect 606Ch within 5 % of a velocity."""
+        """Expect 606Ch within 5 % of a velocity.
+
+        Raises:
+            NotApplicable: the drive tells by bit 11 that a limit of its own is lower.
+        """
         begin_ns, seen = self.now_ns, 0
         while self.now_ns - begin_ns < within_s * 1e9:
             seen = self.read(od.VELOCITY)
             if abs(seen - velocity) <= abs(velocity) * 0.05 + 1:
                 return
+        if self.statusword() & od.INTERNAL_LIMIT:
+            raise NotApplicable(
+                f"bit 11 (internal limit active) at 606Ch = {seen}, below 6081h ="
+                f" {abs(velocity)}: state a lower 6081h as `objects` of the controller"
+            )
         expected = f"606Ch = {velocity} +- 5 % within {within_s:.2f} s"
         cause = "wrong sign, wrong units, or the ramp is not 6083h"
         raise self.violated(f"60FFh = {velocity}", expected, f"606Ch = {seen}", cause)

@@ -37,6 +37,19 @@ DEVIATIONS = {
 LEGAL = [quirk.name for quirk in CATALOGUE if quirk.name not in DEVIATIONS]
 
 
+SPEED = 'objects = { "6081h" = 40000, "6083h" = 400000 }'
+RPM = "units = { velocity_unit_inc_s = 33.3333, acceleration_unit_inc_s2 = 33.3333 }"
+VENDORS = {
+    "maxon_epos2_50_5.eds": RPM,
+    "elmo_gold_cob.dcf": SPEED,
+    "nanotec_C5-E-2-09.eds": "",
+    "technosoft_ipos.eds": SPEED,
+    "roboteq_v80.eds": SPEED,
+    "schunk_prl_erb_0_63.dcf": SPEED,
+}
+"""Vendors' files, with the speeds and units that they do not state."""
+
+
 def target(tmp_path, keys):
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.format(keys=keys))
@@ -82,3 +95,10 @@ def test_clause_finds_its_mistake(tmp_path, monkeypatch, name):
 def test_every_clause_has_a_mistake_that_it_finds():
     killers = {mutant.killer for mutant in MUTANTS.values()}
     assert set(drive_clauses()) - killers == {"PP-07"}  # drives to DSP 402 version 2 ignore bit 9
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("file", VENDORS)
+def test_drive_with_a_vendors_dictionary_is_not_accused(tmp_path, shared, file):
+    keys = f'eds = "{shared / "data" / "eds" / file}"\n{VENDORS[file]}'
+    assert accusations(target(tmp_path, keys)) == []

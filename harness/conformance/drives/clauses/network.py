@@ -130,7 +130,7 @@ def host_lost(bench: DriveBench) -> None:
     ):
         drive.set(od.ABORT_CONNECTION, option)
         drive.enable(mode)
-        drive.write(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
+        drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
         drive.client.send(0x700 + _HOST, b"\x05")
         begin_ns = drive.now_ns
         drive.quiet(_CONSUMER_MS / 2e3)

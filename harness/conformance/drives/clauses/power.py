@@ -11,6 +11,7 @@ from motorhil.harness.conformance.drives.objects import Mode, State
 
 _FSA: Final = "CiA 402-2 / IEC 61800-7-201, PDS FSA: transitions"
 _S = State
+_FAULTS: Final = (_S.FAULT, _S.FAULT_REACTION_ACTIVE)
 
 # (transition, controlword, state afterwards): one walk through all transitions that need no motion.
 _WALK: Final = (
@@ -95,8 +96,7 @@ def fault_reset_by_edge(bench: DriveBench) -> None:
     drive = bench.drive
     mode = _select_any(drive)
     drive.enable(mode)
-    drive.command(od.ENABLE | od.FAULT_RESET)  # the level is there before the fault
-    fault(bench)
+    fault(bench, od.FAULT_RESET)
     drive.await_state(_S.FAULT, "a fault", "transitions 13 and 14")
     drive.quiet(0.2)
     drive.command(od.FAULT_RESET)  # still 1: no edge
@@ -122,21 +122,28 @@ def _select_any(drive: Drive) -> Mode:
     raise NotApplicable("6502h claims no mode")
 
 
-def fault(bench: DriveBench) -> int:
+def fault(bench: DriveBench, bits: int = 0) -> int:
     """Cause a fault while the drive is enabled; return its error code.
+
+    Args:
+        bench: its `fail` causes the fault; on a real bench a following error does.
+        bits: of the controlword, 1 since before the fault.
 
     Raises:
         NotApplicable: there is no way to cause one.
     """
+    drive = bench.drive
+    drive.command(od.ENABLE | bits)
     code = bench.fail()
-    if code is None:
-        drive = bench.drive
-        drive.require(od.FOLLOWING_WINDOW, od.FOLLOWING_TIMEOUT)
-        drive.require_mode(Mode.PP)
-        pace = drive.pace()
-        drive.enable(Mode.PP)
-        drive.write(od.FOLLOWING_TIMEOUT, 0)
-        drive.write(od.FOLLOWING_WINDOW, 1)
-        drive.offer(drive.read(od.POSITION) + pace.distance(0.2), od.IMMEDIATELY)
-        code = 0x8611
-    return code
+    if code is not None:
+        return code
+    drive.require(od.FOLLOWING_WINDOW, od.FOLLOWING_TIMEOUT)
+    pace = drive.pace()
+    drive.enable(Mode.PP)
+    drive.set(od.FOLLOWING_TIMEOUT, 0)
+    drive.set(od.FOLLOWING_WINDOW, 1)
+    drive.write(od.TARGET_POSITION, drive.read(od.POSITION) + pace.distance(0.2))
+    drive.command(od.ENABLE | od.IMMEDIATELY | od.NEW_SET_POINT | bits)
+    if drive.until(lambda word: od.state_of(word) in _FAULTS, 4.0 * pace.ramp_s + 1.0) is None:
+        raise NotApplicable("the following error stays within 6065h = 1: no fault to observe")
+    return 0x8611

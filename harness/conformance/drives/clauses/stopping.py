@@ -13,20 +13,19 @@ _QUICK_STOP: Final = "CiA 402-2 / IEC 61800-7-201, quick stop option code 605Ah"
 _HOST: Final = 0x7C
 _CONSUMER_MS: Final = 100
 _SLOW: Final = 4
+_RAMPS: Final = (od.DECELERATION, od.QUICK_DECELERATION)
 
 
 def _moving(bench: DriveBench, *needed: Entry) -> tuple[Drive, Pace, int]:
     """Return the drive at full speed, its pace, and half of its ramp, which 6084h then has."""
     drive = bench.drive
-    drive.require(od.DECELERATION, *needed)
+    drive.require(*needed)
     if not (drive.has_mode(Mode.PV) or drive.has_mode(Mode.PP)):
         raise NotApplicable("6502h claims neither pv nor pp")
     pace = drive.pace()
     slow = max(1, pace.acceleration // 2)
     drive.cruise(pace)
-    if drive.find(od.QUICK_DECELERATION) is not None:
-        drive.write(od.QUICK_DECELERATION, pace.acceleration)
-    drive.write(od.DECELERATION, slow)
+    drive.ramps(slow, pace.acceleration)
     return drive, pace, slow
 
 
@@ -53,7 +52,7 @@ def quick_stop_ramp(bench: DriveBench) -> None:
 @drive_clause("STOP-02", Level.L2, source=f"{_QUICK_STOP} = 1, 6084h; transitions 11 and 12")
 def quick_stop_slow_down(bench: DriveBench) -> None:
     """With 605Ah = 1 a quick stop brakes at 6084h, and ends in switch on disabled."""
-    drive, pace, slow = _moving(bench, od.QUICK_STOP_OPTION)
+    drive, pace, slow = _moving(bench, od.QUICK_STOP_OPTION, od.DECELERATION)
     drive.set(od.QUICK_STOP_OPTION, 1)
     what = "quick stop with 605Ah = 1"
     drive.become(State.QUICK_STOP_ACTIVE, od.QUICK_STOP, "transition 11", pace.ramp_s / 2.0)
@@ -66,7 +65,7 @@ def quick_stop_slow_down(bench: DriveBench) -> None:
 def quick_stop_stays(bench: DriveBench) -> None:
     """With 605Ah = 5 (6084h) or 6 (6085h) the drive stays in quick stop active until enabled."""
     for option in (5, 6):
-        drive, pace, slow = _moving(bench, od.QUICK_STOP_OPTION, od.QUICK_DECELERATION)
+        drive, pace, slow = _moving(bench, od.QUICK_STOP_OPTION, *_RAMPS)
         drive.set(od.QUICK_STOP_OPTION, option)
         what = f"quick stop with 605Ah = {option}"
         drive.become(State.QUICK_STOP_ACTIVE, od.QUICK_STOP, "transition 11", pace.ramp_s / 2.0)
@@ -123,7 +122,7 @@ def quick_stop_limits(bench: DriveBench) -> None:
 def _expect_option(bench: DriveBench, entry: Entry, word: int, state: State) -> None:
     """Expect option 0 to disable at once, and 1 to brake at 6084h before."""
     for option in (0, 1):
-        drive, pace, slow = _moving(bench, entry)
+        drive, pace, slow = _moving(bench, entry, od.DECELERATION)
         if drive.refusal(entry.index, 0, option.to_bytes(2, "little")):
             drive.command(od.DISABLE_VOLTAGE)
             continue
@@ -156,10 +155,10 @@ def fault_reaction_option(bench: DriveBench) -> None:
     """A lost host while moving: 605Eh = 0 disables at once, 1 brakes at 6084h, 2 at 6085h."""
     for option in (1, 2, 0):
         needed = (od.HEARTBEAT_CONSUMER, od.ABORT_CONNECTION, od.FAULT_OPTION)
-        drive, pace, slow = _moving(bench, *needed)
+        drive, pace, slow = _moving(bench, *needed, *_RAMPS)
         drive.set(od.FAULT_OPTION, option)
         drive.set(od.ABORT_CONNECTION, 1)
-        drive.write(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
+        drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
         begin_ns = drive.now_ns
         drive.client.send(0x700 + _HOST, b"\x05")
         what = f"lost heartbeat with 605Eh = {option}"
