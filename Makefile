@@ -85,8 +85,9 @@ fuzz: $(READY)  ## attacks on drives, hosts, files, locks, recorders, memory; FU
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
 
-clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance kit
+clauses: $(READY)  ## docs/reference/*clauses.md, every clause for adaptations and drives
 	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md
+	$(BIN)/python -m motorhil.harness.conformance.drives.kit > docs/reference/drive-clauses.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.support.golden

@@ -1,4 +1,4 @@
-"""The verb `conform`: checks an adaptation against the motor interface.
+"""The verb `conform`: checks an adaptation against the motor interface, or a drive against CiA 402.
 
 Each clause of the kit is checked on a bench of its own, in another process, so that an adaptation
 cannot end the run. A clause that fails is checked again with the same seed, and that run is
@@ -43,6 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--adaptation",
         metavar="NAME",
         help="from `motorhil list adaptations`, or package.module:function",
+    )
+    parser.add_argument(
+        "--controller",
+        metavar="NAME",
+        help="check a drive of the rig against CiA 402; without --rig: `drive`, an emulated one",
     )
     parser.add_argument("--rig", metavar="RIG", help="a rig file with motors of this adaptation")
     parser.add_argument("--level", type=level_of, metavar="L3", help="all clauses up to this level")
@@ -104,18 +109,22 @@ def run(options: argparse.Namespace) -> int:
 
     if options.list:
         return _list(options)
-    if options.adaptation is None and options.rig is None:
-        print(
-            "motorhil conform: no adaptation named; use --adaptation NAME, --rig RIG, or both",
-            file=sys.stderr,
-        )
+    wrong = _wrong_target(options)
+    if wrong:
+        print(f"motorhil conform: {wrong}", file=sys.stderr)
         return WRONG_USAGE
     for file in (options.json, options.junit, options.html):
         if file is not None and file != _STDOUT:
             _require_writable(file)
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # finds modules that are not installed yet
-    job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
+    job = Job(
+        options.adaptation or "",
+        options.rig or "",
+        options.seed,
+        tuple(options.on or ()),
+        options.controller or "",
+    )
     words = redirect_stdout(sys.stderr) if options.json == _STDOUT else nullcontext()
     try:
         with ends_by_signal(), Supervisor(job) as supervisor, words:
@@ -133,6 +142,17 @@ def run(options: argparse.Namespace) -> int:
         print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
         return NOT_JUDGED
     return PASSED if outcome.passed else FAILED
+
+
+def _wrong_target(options: argparse.Namespace) -> str:
+    """Return the error in the choice of what is tested; "" if there is none."""
+    if options.controller is not None and options.adaptation is not None:
+        return "--controller checks a drive, --adaptation a host; leave one of them out"
+    if options.controller is None and options.adaptation is None and options.rig is None:
+        return (
+            "no adaptation named; use --adaptation NAME, --rig RIG, or both; or --controller NAME"
+        )
+    return ""
 
 
 def _require_writable(file: Path) -> None:
@@ -172,10 +192,12 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
 
 def _list(options: argparse.Namespace) -> int:
     from motorhil.harness.cli.options import print_table
+    from motorhil.harness.conformance.drives.kit import drive_clauses
     from motorhil.harness.conformance.kit import all_clauses
     from motorhil.harness.conformance.worker import Promise
 
-    known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
+    clauses = drive_clauses() if options.controller is not None else all_clauses()
+    known = [Promise(one.id, one.level, one.promise, one.source) for one in clauses.values()]
     rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
     head = ("clause", "level", "promise", "source")
     if options.json is not None:
@@ -218,6 +240,8 @@ def _command(options: argparse.Namespace) -> list[str]:
     words = ["motorhil", "conform"]
     if options.adaptation is not None:
         words += ["--adaptation", options.adaptation]
+    if options.controller is not None:
+        words += ["--controller", options.controller]
     if options.rig is not None:
         words += ["--rig", options.rig]
     for where in options.on or ():

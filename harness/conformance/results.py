@@ -2,10 +2,11 @@
 
 The keys of the JSON document are stable:
 
-    adaptation, rig, bench, motors, seed    what was tested; `rig` is its file, `bench` its name
+    adaptation, rig, bench, motors, seed    what was tested; `rig` is its file, `bench` its name;
+                        of a drive: `adaptation` and `motors` have its name
     passed              whether at least one clause was checked and all results are good
     counts              number of clauses by result
-    claims              by capability: why the motors do not claim it, or "" if they claim it;
+    claims              by capability, or by mode of a drive: why it is not claimed, or "";
                         null if the motors could not be asked
     groups              failures by cause, the first one to mend on top: `cause`; `first`, the id of
                         the most basic clause, and `others`; `told`, the lines about the first

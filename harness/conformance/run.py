@@ -74,8 +74,9 @@ _SETTLE_S: Final = 0.25
 _POLL_S: Final = 0.01
 _DESCRIPTORS: Final = Path("/proc/self/fd")
 _TASKS: Final = Path("/proc/self/task")
-_CLAUSES: Final = str(Path(__file__).parent / "clauses")
-_SHARED: Final = (str(clause.__file__), os.path.join(_CLAUSES, "helpers.py"))
+_HERE: Final = Path(__file__).parent
+_CLAUSES: Final = (str(_HERE / "clauses"), str(_HERE / "drives" / "clauses"))
+_SHARED: Final = (str(clause.__file__), os.path.join(_CLAUSES[0], "helpers.py"))
 """Files whose functions raise for their callers; a place in the calling clause is preferred."""
 
 Line = tuple[str, int]
@@ -189,7 +190,7 @@ def home_of(module: str) -> str:
     return os.path.dirname(file) + os.sep if hasattr(package, "__path__") else file
 
 
-def raised_at(error: BaseException, home: str = "") -> str:
+def raised_at(error: BaseException, home: str | tuple[str, ...] = "") -> str:
     """Return where the error or its cause was raised: the last line in `home`, or the last line."""
     while error.__cause__ is not None:
         error = error.__cause__
@@ -201,7 +202,7 @@ def called_at(frame: FrameType | None) -> str:
     return "" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
 
 
-def place_in(lines: Sequence[Line], home: str = "") -> str:
+def place_in(lines: Sequence[Line], home: str | tuple[str, ...] = "") -> str:
     """Return the last line that is in `home`, or the last line of all; "" if there is none.
 
     The outermost line is the first.

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any, Final, Self, final
 
 from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.clause import Clause
+from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import home_of
 from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
@@ -35,12 +37,14 @@ class Job:
         seed: the seed of all random numbers; None: the rig's seed.
         on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
             time.
+        controller: the drive of the rig to test, in place of an adaptation; "": none.
     """
 
     adaptation: str = ""
     rig: str = ""
     seed: int | None = None
     on: tuple[str, ...] = ()
+    controller: str = ""
 
     def packed(self) -> dict[str, Any]:
         """Return the job as JSON values."""
@@ -76,6 +80,10 @@ class Target:
         self.deadline_s: Final = _deadline_s(self.rig.conformance, is_live=bool(job.on))
         self.adaptation: Final = first.adaptation
         self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
+
+    def clauses(self) -> Mapping[str, Clause]:
+        """Return the clauses for adaptations."""
+        return all_clauses()
 
     def opener(self, record: Path | None = None) -> Opener:
         """Return an opener for benches of this rig, which record everything to `record`."""

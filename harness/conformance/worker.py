@@ -38,7 +38,7 @@ from typing import Any, Final, NoReturn, Self, TextIO, final
 
 import motorhil
 from motorhil.harness.conformance.clause import Result, Verdict, packed, unpacked
-from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.rig_bench import TimeIsUp
 from motorhil.harness.conformance.run import Claims, Line, place_in, raised_at, run_clause
 from motorhil.harness.conformance.target import Job, Target
@@ -72,8 +72,10 @@ class _Worker:
     """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        self._target = Target(Job.unpacked(job))
-        self._clauses = all_clauses()
+        wanted = Job.unpacked(job)
+        self._target: Target | DriveTarget
+        self._target = DriveTarget(wanted) if wanted.controller else Target(wanted)
+        self._clauses = self._target.clauses()
         self._claims = Claims(self._target.opener())
 
     def ready(self) -> dict[str, object]:
@@ -110,6 +112,8 @@ class _Worker:
             RigError: the adaptation's claims cannot be read.
         """
         try:
+            if isinstance(self._target, DriveTarget):
+                return self._target.claims()
             return {one.key: self._claims.why_not(one) for one in Capability}
         except RigError:
             raise
@@ -351,8 +355,9 @@ class CannotTestError(Exception):
 class Loaded:
     """The worker's description of its job after loading.
 
-    Attributes: adaptation, rig (its file), bench (the rig's name), motors (under test), seed,
-    deadline_s (for one clause), home (the folder of the adaptation's code), clauses (of the kit).
+    Attributes: adaptation (or the drive under test), rig (its file), bench (the rig's name), motors
+    (under test), seed, deadline_s (for one clause), home (the folder of the adaptation's code),
+    clauses (of the kit).
     """
 
     adaptation: str

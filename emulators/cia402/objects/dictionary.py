@@ -27,6 +27,7 @@ from motorhil.emulators.cia402.objects.units import (
 )
 from motorhil.emulators.cia402.settings import EMULATED_MODES, DriveSettings
 
+_SERVO_DRIVE: Final = 0x0002_0192  # 1000h: profile 402; CiA 402-1, device type
 _STANDARD: Final = 0xFFFF
 _EMULATED: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())
 _TARGETS: Final = (
@@ -105,6 +106,7 @@ class DriveObjects:
         plant = settings.plant
         fill_factors(od, plant)
         ensure = od.ensure
+        ensure(0x1000, 0, _D.UNSIGNED32, _SERVO_DRIVE)
         polarity = ensure(0x607E, 0, _D.UNSIGNED8, 0)
         polarity.writer = Choice(POLARITIES, self.changes, ObjectChange.FACTORS).write
         for subindex in (1, 2):
