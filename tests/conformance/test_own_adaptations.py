@@ -31,14 +31,14 @@ NOT_APPLICABLE = {
             *("STATE-02", "MEAS-02", "MEAS-03", "MEAS-05"),  # no load
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
-            *("SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
+            *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
             *(f"LOST-{number:02}" for number in range(1, 11)),
             *_OF_CAN,
         }
     ),
     "leadshine": _POLLED,
     "oriental_az": _POLLED,
-    "software": frozenset({"MEAS-02", "SET-05", "SYNC-05"}),
+    "software": frozenset({"HEAR-05", "MEAS-02", "SET-05", "SYNC-05"}),
 }
 
 

@@ -39,6 +39,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     turn,
     until_rest_s,
 )
+from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
@@ -66,6 +67,8 @@ _ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
 _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 _HERE = 37
+_LATE_S: Final = (0.11, 0.21, 0.31)
+_LATE_PLACES: Final = 4
 _NO_METHOD = 77  # reserved in CiA 402-2
 
 
@@ -394,6 +397,54 @@ def deadline_holds_without_answers(bench: RigProtocol) -> None:
         _wait_until_it_answers(bench, motor)
         motor.stop()
         finish(bench, motor)
+
+
+@clause(
+    "HEAR-05",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.LATE, Ability.TRUTH},
+    source="errors: DeadlineExceeded, PeerError; a late answer is that to its own request",
+)
+def late_answer_is_not_taken_for_next(bench: RigProtocol) -> None:
+    """A late answer is not taken for that to a later request: what is read is true, or refused."""
+    motor, way = bench.motor, 0.5 * long_move(bench)
+    late = 0
+    for delay_s in _LATE_S:
+        for skip in range(_LATE_PLACES):
+            _wait_until_it_answers(bench, motor)
+            watch = PositionWatch(bench, motor)
+            slowly_s = 2.0 * shortest_s(motor, way)
+            follow(motor, TrapezoidalTrajectory(way, duration_s=slowly_s))
+            rest_for(bench, 0.3 * slowly_s)
+            with bench.delay_answers_of(motor, delay_s, skip=skip, limit=1) as count:
+                _read_all(motor, watch, f"answer {skip + 1} late by {delay_s:g} s")
+                late += count()
+            watch.end(0.0)
+            with suppress(*_ERRORS):
+                motor.stop()
+                finish(bench, motor)
+            rest_for(bench, delay_s)
+            way = -way
+        if not late:
+            raise NotApplicable("the motor reads nothing by requests")
+
+
+def _read_all(motor: Motor, watch: PositionWatch, when: str) -> None:
+    """Read all values twice; each must be one of the motor's, or be refused."""
+    top, unit = motor.model.velocity_max, motor.model.unit
+    for _ in range(2):
+        with suppress(*_ERRORS):
+            watch.read(when)
+        with suppress(*_ERRORS):
+            velocity = motor.velocity()
+            expect(abs(velocity) <= 1.2 * top, f"{when}: velocity() is {velocity:g} {unit}/s")
+        with suppress(*_ERRORS, UnsupportedError):
+            behind = motor.following_error()
+            expect(abs(behind) <= top, f"{when}: following_error() is {behind:g} {unit}")
+        with suppress(*_ERRORS):
+            fault = motor.fault()
+            expect(fault is None, f"{when}: fault() is {fault}; expected None")
 
 
 @clause(

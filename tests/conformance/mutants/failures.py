@@ -1,7 +1,10 @@
 """Mistakes with faults, lost answers and silent drives."""
 
+from unittest.mock import patch
+
 from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus import client as modbus_client
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotorError
@@ -193,4 +196,11 @@ def reads_are_repeated_for_long():
         return asked
 
     with replaced(ModbusUnit, "read", wrong):
+        yield
+
+
+@mutant("leadshine", "HEAR-05")
+def the_next_answer_is_the_answer():
+    """The next request is sent right after a timeout; the next answer of that length is its own."""
+    with patch.object(modbus_client, "_QUARANTINE_NS", 0):
         yield
