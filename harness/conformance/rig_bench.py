@@ -28,6 +28,7 @@ _FAULT_NS: Final = 50_000_000
 _CANOPEN: Final = ("cia402", "cia401")
 """Kinds of controllers that use SYNC and NMT, and whose commands the bench recognises."""
 _SYNC: Final = 0x080
+_SDO_ANSWER: Final = 0x580  # + node-ID
 _UNUSED_ID: Final = 0x7FF
 _LAST_BIT: Final = 0.02
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
@@ -141,7 +142,7 @@ class RigBench:
             able |= {Ability.CUT, Ability.SILENCE_HOST}
             kind = self._description.controllers[first.controller].kind
             if kind in _CANOPEN or self._is_on_a_line(self.motor):
-                able.add(Ability.TRAFFIC)
+                able |= {Ability.TRAFFIC, Ability.LATE}
             if not self._is_on_a_line(self.motor):
                 able.add(Ability.BUS_ERRORS)
             if kind in _CANOPEN:
@@ -214,6 +215,24 @@ class RigBench:
         rule = FaultRule("", FaultKind.DROP, sender=sender, skip=skip, limit=limit)
         with self._rule(motor, rule) as lost:
             yield lost
+
+    @contextmanager
+    def delay_answers_of(
+        self, motor: Motor, delay_s: float, *, skip: int = 0, limit: int | None = None
+    ) -> Iterator[Lost]:
+        """Delay the drive's answers, of a CANopen node those of SDO, within the block."""
+        sender = self._controller(motor)
+        node = self._description.controllers[sender].node_id
+        identifier = None if self._is_on_a_line(motor) or node is None else _SDO_ANSWER + node
+        rule = FaultRule(
+            *("", FaultKind.DELAY, identifier),
+            sender=sender,
+            skip=skip,
+            limit=limit,
+            delay_ns=round(delay_s * 1e9),
+        )
+        with self._rule(motor, rule) as late:
+            yield late
 
     @contextmanager
     def strike(self, motor: Motor | None, times: int, *, skip: int = 0) -> Iterator[Lost]:
@@ -348,11 +367,12 @@ class RigBench:
             unit = self._description.controllers[self._controller(motor)].node_id
             rule = SerialFaultRule(
                 name,
-                SerialFaultKind.LOSE,
+                SerialFaultKind.DELAY if wanted.delay_ns else SerialFaultKind.LOSE,
                 sender=wanted.sender,
                 unit=unit,
                 skip=wanted.skip,
                 limit=wanted.limit,
+                delay_ns=wanted.delay_ns,
             )
         self.rig.faults.inject(bus, rule)
         try:

@@ -188,6 +188,12 @@ class WallBench:
         """Raise NotApplicable."""
         _refuse(Ability.LOSE)
 
+    def delay_answers_of(
+        self, motor: Motor, delay_s: float, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Lost]:
+        """Raise NotApplicable."""
+        _refuse(Ability.LATE)
+
     def strike(
         self, motor: Motor | None, times: int, *, skip: int = 0
     ) -> AbstractContextManager[Lost]:
