@@ -65,3 +65,9 @@ def limit(cpu_s: float, wall_s: float) -> None:
     """End this process by a signal, unless this is called again before."""
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
     signal.setitimer(signal.ITIMER_REAL, wall_s)
+
+
+def cpu_s() -> float:
+    """Return the processor time of this process [s]."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime

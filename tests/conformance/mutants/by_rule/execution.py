@@ -5,14 +5,13 @@ Measured once for a state of the sources, and kept in `build`.
 
 import json
 import sys
-import time
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
 
 from tests.conformance.mutants.by_rule import benches
-from tests.conformance.mutants.by_rule.children import Tell, answers, limit
+from tests.conformance.mutants.by_rule.children import Tell, answers, cpu_s, limit
 from tests.conformance.mutants.by_rule.loading import hits, import_instrumented
 from tests.conformance.mutants.by_rule.sources import Mutant
 from tests.support.checkout import CHECKOUT, sources
@@ -151,15 +150,15 @@ def _run_all(bench: str, tell: Tell) -> None:
     benches.opener(bench)
     before = hits(clear=True)
     for clause in clauses:
-        begin_s = time.process_time()
+        begin_s = cpu_s()
         verdict = benches.verdict(clause, bench, claims_anew=True)
-        cpu_s = time.process_time() - begin_s
+        cost_s = cpu_s() - begin_s
         if verdict.result.is_good:
             tell(
                 {
                     "bench": bench,
                     "clause": clause,
-                    "cpu_s": round(cpu_s, 4),
+                    "cpu_s": round(cost_s, 4),
                     "result": verdict.result.value,
                     "hits": _texts(hits(clear=True)),
                 }

@@ -2,7 +2,6 @@
 
 import gc
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from importlib import import_module
 from typing import Final
 
 from tests.conformance.mutants.by_rule import benches
-from tests.conformance.mutants.by_rule.children import Tell, answers, limit
+from tests.conformance.mutants.by_rule.children import Tell, answers, cpu_s, limit
 from tests.conformance.mutants.by_rule.execution import Run
 from tests.conformance.mutants.by_rule.loading import forget_results, load
 from tests.conformance.mutants.by_rule.sources import Mutant
@@ -108,7 +107,7 @@ def tried(mutant: Mutant, plan: Sequence[Run], *, afresh: bool = False) -> Trial
 
 def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> None:
     limit(2.0 * _LEAST_S, _WALL_S)
-    begin_s = time.process_time()
+    begin_s = cpu_s()
     load(mutant, afresh=afresh)
     if afresh:
         from motorhil.harness.conformance.kit import all_clauses
@@ -123,7 +122,7 @@ def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> Non
             "of": (run.clause, run.bench),
             "seen": verdict.seen,
             "place": verdict.place,
-            "cpu_s": time.process_time() - begin_s,
+            "cpu_s": cpu_s() - begin_s,
             "outcome": "",
         }
         if not verdict.result.is_good:
@@ -135,4 +134,4 @@ def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> Non
             withdrawn = {**answer, "outcome": Outcome.WITHDRAWN.value}
         tell(answer)
     if withdrawn is not None:
-        tell({**withdrawn, "cpu_s": time.process_time() - begin_s})
+        tell({**withdrawn, "cpu_s": cpu_s() - begin_s})
