@@ -16,8 +16,9 @@ and a rig's motor of its kind names neither controller nor bus.
 An adaptation can have a rig of its own for `motorhil conform`, used if the command line names none:
 `build.conformance_rig`, a path relative to the folder of its module.
 
-A decoder has the name of the controllers whose frames it describes, for `motorhil show`. `decode`
-gets every frame of their bus (traces/can_frame.py), and returns None for those of others.
+A decoder has the name of the controllers whose frames it describes, for `show`, `judge` and
+`report`. `decode` gets every frame of their bus (traces/can_frame.py), and returns None for those
+of others.
 
 A plugin that is not installed is named by its target, "package.module:function".
 

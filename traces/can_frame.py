@@ -38,6 +38,11 @@ class Fields(NamedTuple):
         return self.can_id & (EFF_MASK if self.can_id & (EFF | ERR) else SFF_MASK)
 
 
+def dlc(length: int) -> int:
+    """Return the DLC of a frame with 0 to 64 bytes of data."""
+    return next(code for code in range(16) if FD_LENGTHS[code] >= length)
+
+
 def classic(can_id: int, data: bytes) -> bytes:
     """Return a data or error frame.
 

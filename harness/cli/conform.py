@@ -245,7 +245,7 @@ def _print_finding(
         first_of: the first clause of each bad finding so far, which this one is added to.
         in_colours: the result has its colour.
     """
-    from motorhil.harness.conformance.results import more_of
+    from motorhil.harness.conformance.causes import more_of
 
     verdict = one.verdict
     text = verdict.seen or one.promise.promise

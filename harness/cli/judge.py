@@ -5,7 +5,7 @@ import json
 import sys
 import textwrap
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -13,6 +13,7 @@ from typing import Final
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import (
     add_color,
+    add_descriptions,
     add_eds,
     add_max_memory,
     attachments_of,
@@ -24,8 +25,11 @@ from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
 from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
 from motorhil.harness.oracles.seen import Seen
-from motorhil.traces.formats.registry import open_source
+from motorhil.harness.recording.decoders import description_for, messages_at
+from motorhil.traces.decoding.narrative import Describe
+from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import Attachment
 
 _WIDTH: Final = 100
 _SHOWN: Final = 20
@@ -57,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", type=Path, metavar="RIG", help="the rig, if the recording does not contain it"
     )
     add_eds(parser)
+    add_descriptions(parser)
     parser.add_argument(
         "--complete",
         action="store_true",
@@ -87,12 +92,15 @@ def run(options: argparse.Namespace) -> int:
     if options.rig is not None:
         facts = facts.with_more(read_rig(options.rig))
     tell = partial(print, "motorhil judge:", file=sys.stderr)
+    source = open_source(options.file, options.max_memory)
+    attachments = _note_truncation(source)
+    describe = description_for(attachments, options.dbc, options.decoder, tell)
     from_ns, to_ns = span_of(
         options, options.file, span_in(options.file, options, options.max_memory), tell
     )
     seen = Seen()
     findings = judge(
-        open_source(options.file, options.max_memory),
+        source,
         facts,
         only=options.only,
         from_ns=from_ns,
@@ -100,7 +108,8 @@ def run(options: argparse.Namespace) -> int:
         note=lambda text: tell(f"{options.file}: {text}"),
         seen=seen,
     )
-    _note_truncation(options.file)
+    if describe is not None:
+        findings = _described(findings, source, describe)
     for given in options.eds:
         if not any(given.stands_for(*place) for place in seen.places):
             heard = ", ".join(f"{bus}:{node}" for bus, node in sorted(seen.places)) or "none"
@@ -170,6 +179,8 @@ def _print(findings: Sequence[Finding], in_colours: bool) -> None:
             more = f"; {one.further} more" if one.further else ""
             doubt = "" if one.verdict is Verdict.BROKEN else "perhaps: "
             print(f"{one.oracle}: {doubt}{one.first}{more}")
+        for message in one.messages:
+            print(f"{one.oracle}: in this frame: {message}")
         if one.reason:
             print(f"{one.oracle}: {one.reason}")
 
@@ -186,9 +197,29 @@ def _list(only: Sequence[str], as_json: bool) -> None:
             print(textwrap.indent(textwrap.fill(text, _WIDTH), "    "))
 
 
-def _note_truncation(path: str) -> None:
-    """Print where a recording was cut; it was judged up to there."""
-    if open_source(path).format == "mcap":
-        with read_trace(path) as trace:
-            if trace.cut is not None:
-                print(f"motorhil judge: {path}: {trace.cut}", file=sys.stderr)
+def _note_truncation(source: Source) -> Sequence[Attachment]:
+    """Print where a recording is cut, for it is judged up to there; return its attachments."""
+    if source.format != "mcap":
+        return ()
+    with read_trace(source.path, source.memory_max) as trace:
+        if trace.cut is not None:
+            print(f"motorhil judge: {source.path}: {trace.cut}", file=sys.stderr)
+        return trace.attachments
+
+
+def _described(findings: Sequence[Finding], source: Source, describe: Describe) -> list[Finding]:
+    """Return the findings with the messages in their frames."""
+    moments = {(one.first.bus, one.first.time_ns) for one in findings if one.first is not None}
+    told = messages_at(source, moments, describe)
+    described: list[Finding] = []
+    for one in findings:
+        if one.first is not None:
+            node = one.first.node
+            messages = tuple(
+                message
+                for message in told.get((one.first.bus, one.first.time_ns), ())
+                if not node or message.node in (None, node)
+            )
+            one = replace(one, messages=messages)
+        described.append(one)
+    return described

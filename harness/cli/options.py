@@ -14,8 +14,10 @@ from motorhil.harness.rig.config.toml import SEED_MAX, one_line
 from motorhil.traces.files import MEMORY_MAX
 
 if TYPE_CHECKING:
+    from motorhil.harness.recording.decoders import GivenDecoder
     from motorhil.traces.mcap.records import Attachment
 
+NODE_MAX: Final = 255
 _NS: Final = 1_000_000_000
 _EDS_BYTES_MAX: Final = 16_000_000
 _NS_MAX: Final = 2**64 - 1  # MCAP's log time
@@ -172,6 +174,34 @@ def attachments_of(given: "Sequence[GivenEds]") -> "list[Attachment]":
             raise TraceError(one.path, "holds no objects of an EDS", remedy=remedy)
         found.append((one.bus, one.node, data))
     return eds_attachments(found)
+
+
+def add_descriptions(parser: argparse.ArgumentParser) -> None:
+    """Add `--dbc FILE`, and `--decoder [BUS:]NODE=NAME`, which may be repeated."""
+    parser.add_argument(
+        "--dbc", metavar="FILE", help="DBC with the messages and signals of frames; needs cantools"
+    )
+    parser.add_argument(
+        "--decoder",
+        action="append",
+        type=_given_decoder,
+        default=[],
+        metavar="[BUS:]NODE=NAME",
+        help="decoder of a node's frames, of an installed package; may be repeated",
+    )
+
+
+def _given_decoder(text: str) -> "GivenDecoder":
+    from motorhil.harness.recording.decoders import GivenDecoder
+
+    place, _, name = text.partition("=")
+    bus, _, node = place.rpartition(":")
+    if not name or not (node.isascii() and node.isdecimal()) or int(node) > NODE_MAX:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not [BUS:]NODE=NAME with a node-ID of 0 to {NODE_MAX}, such as "
+            "can0:1=odrive"
+        )
+    return GivenDecoder(bus, int(node), name)
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:

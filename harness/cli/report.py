@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
-from motorhil.harness.cli.options import add_eds, add_max_memory, attachments_of
+from motorhil.harness.cli.options import add_descriptions, add_eds, add_max_memory, attachments_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
 
@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--title", help="title of the page (default: the recording's name)")
     add_bit_rates(parser, "bit rate of a CAN bus, if the recording lacks it, such as can0=500k")
     add_eds(parser)
+    add_descriptions(parser)
     parser.add_argument(
         "--foxglove-layout",
         type=Path,
@@ -47,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, is damaged, or the page cannot be written.
     """
     from motorhil.harness.recording.conversion import open_recording
+    from motorhil.harness.recording.decoders import description_for
     from motorhil.harness.report.collect import collect
     from motorhil.harness.report.document import document_of
     from motorhil.harness.report.foxglove import layout_of
@@ -58,7 +60,8 @@ def run(options: argparse.Namespace) -> int:
     with open_recording(options.file, tell, attachments, options.max_memory) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)
         rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
-        found = collect(trace, rates, data_rates)
+        describe = description_for(trace.attachments, options.dbc, options.decoder, tell)
+        found = collect(trace, rates, data_rates, describe)
         title = options.title or Path(options.file).name
         document, packed = document_of(trace, found, title)
         page = render(document, packed)

@@ -11,6 +11,8 @@ from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import (
+    NODE_MAX,
+    add_descriptions,
     add_eds,
     add_max_memory,
     attachments_of,
@@ -19,14 +21,13 @@ from motorhil.harness.cli.options import (
 )
 from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
-from motorhil.harness.recording.decoders import GivenDecoder, description_for
+from motorhil.harness.recording.decoders import description_for
 from motorhil.harness.rig.config.toml import one_line
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.protobuf import Value
 
-_NODE_MAX: Final = 255
 _NS: Final = 1_000_000_000
 _POLL_S: Final = 0.2  # a recorder writes once a second
 
@@ -49,23 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--node",
         action="append",
-        type=whole(0, _NODE_MAX),
+        type=whole(0, NODE_MAX),
         metavar="N",
         help="only this node or Modbus unit",
     )
     parser.add_argument("--motor", action="append", metavar="NAME", help="only this motor")
     add_eds(parser)
-    parser.add_argument(
-        "--dbc", metavar="FILE", help="DBC with the messages and signals of frames; needs cantools"
-    )
-    parser.add_argument(
-        "--decoder",
-        action="append",
-        type=_given_decoder,
-        default=[],
-        metavar="[BUS:]NODE=NAME",
-        help="decoder of a node's frames, of an installed package; may be repeated",
-    )
+    add_descriptions(parser)
     parser.add_argument(
         "--brief",
         action="store_true",
@@ -88,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
     tell = partial(print, "motorhil show:", file=sys.stderr)
     attachments = attachments_of(options.eds)
     with open_recording(options.file, tell, attachments, options.max_memory) as trace:
-        story = Story(trace, describe=description_for(trace, options.dbc, options.decoder, tell))
+        told = trace.attachments, options.dbc, options.decoder
+        story = Story(trace, describe=description_for(*told, tell))
         wanted = _Filter(options, story)
         outside: list[str] = []
         from_ns, to_ns = span_of(options, trace.path, trace.span_ns(), outside.append)
@@ -109,17 +101,6 @@ def run(options: argparse.Namespace) -> int:
             if name not in wanted.met:
                 print(f"motorhil show: no events of motor {name}", file=sys.stderr)
     return PASSED
-
-
-def _given_decoder(text: str) -> GivenDecoder:
-    place, _, name = text.partition("=")
-    bus, _, node = place.rpartition(":")
-    if not name or not (node.isascii() and node.isdecimal()) or int(node) > _NODE_MAX:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not [BUS:]NODE=NAME with a node-ID of 0 to {_NODE_MAX}, such as "
-            "can0:1=odrive"
-        )
-    return GivenDecoder(bus, int(node), name)
 
 
 def followed(
@@ -178,10 +159,7 @@ def facts_of(line: Line) -> dict[str, object]:
             for fact in event.facts
         ]
         if line.message is not None:
-            signals = {
-                name: {"value": value, "unit": unit} for name, value, unit in line.message.signals
-            }
-            table["message"] = {"name": line.message.name, "signals": signals}
+            table["message"] = line.message.as_table()
     elif line.values:
         table["values"] = {name: _plain(value) for name, value in line.values}
     return table

@@ -16,7 +16,7 @@ work is a failure. A verdict says how one check ended.
 """
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, Final, final
 
@@ -152,6 +152,24 @@ class Result(Enum):
 
 @final
 @dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The likely cause of a failure, with the evidence.
+
+    Attributes:
+        cause: the likely cause, in one line.
+        key: equal for failures of one cause.
+        evidence: further observations, one a line.
+        curves: by "demand", "told" and "truth" of the motor's position: (time [s], position [U]).
+    """
+
+    cause: str
+    key: str
+    evidence: tuple[str, ...] = ()
+    curves: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """The verdict on one clause.
 
@@ -161,6 +179,8 @@ class Verdict:
         seen: the observation, or why the clause is not applicable; "" if it passed.
         place: where an error was raised, "file:line"; "" if none was.
         time_ns: the bench's time at the end [ns].
+        bench: the name of the bench; "" if it was not switched on.
+        diagnosis: the likely cause of a failure; None if it passed, or was not observed.
     """
 
     clause: str
@@ -168,19 +188,24 @@ class Verdict:
     seen: str = ""
     place: str = ""
     time_ns: int = 0
+    bench: str = ""
+    diagnosis: Diagnosis | None = field(default=None, compare=False)
 
 
 def packed(verdict: Verdict) -> dict[str, Any]:
     """Return the verdict as JSON values."""
-    return {
-        "clause": verdict.clause,
-        "result": verdict.result.value,
-        "seen": verdict.seen,
-        "place": verdict.place,
-        "time_ns": verdict.time_ns,
-    }
+    return {**asdict(verdict), "result": verdict.result.value}
 
 
 def unpacked(values: Mapping[str, Any]) -> Verdict:
     """Return the verdict from the values of `packed`."""
-    return Verdict(**{**values, "result": Result(values["result"])})
+    told = values["diagnosis"]
+    diagnosis = None
+    if told is not None:
+        curves = {
+            name: tuple((time_s, position) for time_s, position in curve)
+            for name, curve in told["curves"].items()
+        }
+        diagnosis = Diagnosis(told["cause"], told["key"], tuple(told["evidence"]), curves)
+    result = Result(values["result"])
+    return Verdict(**{**values, "result": result, "diagnosis": diagnosis})

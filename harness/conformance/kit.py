@@ -12,6 +12,7 @@ from motorhil.harness.conformance.clause import Clause, Level, registered
 
 _MODULES: Final = (
     "identity",
+    "measurements",
     "setpoints",
     "trajectories",
     "starting",

@@ -7,13 +7,17 @@ The keys of the JSON document are stable:
     counts              number of clauses by result
     claims              by capability: why the motors do not claim it, or "" if they claim it;
                         null if the motors could not be asked
+    groups              failures by cause, the first one to mend on top: `cause`; `first`, the id of
+                        the most basic clause, and `others`; `told`, the lines about the first
     clauses             for each: `id`, `level` ("L2"), `promise`, `source`; `result` ("passed",
                         "failed", "not applicable", "crashed", "hung", "left behind"); `seen`, the
                         observation, or why it is not applicable; `place`, "file:line" or "";
-                        `time_s`, in the bench's time; `wall_s`; `said`, the last lines printed;
-                        `again`, the command that repeats it, or null; `record`, its MCAP file, or
-                        null; `digest`, the record's digest, or null; `second`, the `result` and
-                        `seen` of a second run with the same seed if they differ, else null
+                        `bench`, where it ran; `cause`, the likely cause, or null; `evidence`, the
+                        observations behind it; `time_s`, in the bench's time; `wall_s`; `said`, the
+                        last lines printed; `again`, the command that repeats it, or null; `record`,
+                        its MCAP file, or null; `digest`, the record's digest, or null; `second`,
+                        the `result` and `seen` of a second run with the same seed if they differ,
+                        else null
     first_verdict_s     from the start of the command to the first verdict, in wall time
     took_s              from the start of the command to the last verdict
 
@@ -29,6 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.harness.conformance.causes import cause_of, groups_of, more_of, told_in_full
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Finding
 from motorhil.harness.conformance.worker import Loaded
@@ -102,6 +107,15 @@ def as_json(outcome: Outcome) -> str:
         "passed": outcome.passed,
         "counts": {result.value: outcome.count(result) for result in Result},
         "claims": None if outcome.claims is None else dict(outcome.claims),
+        "groups": [
+            {
+                "cause": one.cause,
+                "first": one.first.promise.id,
+                "others": list(one.others),
+                "told": told_in_full(one.first),
+            }
+            for one in groups_of(outcome.findings)
+        ],
         "clauses": [_clause(one) for one in outcome.findings],
         "first_verdict_s": round(outcome.first_verdict_s, 3),
         "took_s": round(outcome.took_s, 3),
@@ -110,7 +124,7 @@ def as_json(outcome: Outcome) -> str:
 
 
 def _clause(one: Finding) -> dict[str, object]:
-    second = one.second
+    second, diagnosis = one.second, one.verdict.diagnosis
     return {
         "id": one.promise.id,
         "level": f"L{one.promise.level}",
@@ -119,6 +133,9 @@ def _clause(one: Finding) -> dict[str, object]:
         "result": one.verdict.result.value,
         "seen": one.verdict.seen,
         "place": one.verdict.place,
+        "bench": one.verdict.bench,
+        "cause": None if diagnosis is None else diagnosis.cause,
+        "evidence": [] if diagnosis is None else list(diagnosis.evidence),
         "time_s": one.verdict.time_ns / _NS,
         "wall_s": round(one.wall_s, 3),
         "said": list(one.output),
@@ -153,8 +170,9 @@ def _case(one: Finding, adaptation: str, word: str | None) -> str:
     case = f'<testcase classname={group} name={name} time="{one.wall_s:.3f}">'
     if word is not None:
         kind = _quoted(one.verdict.result.value)
-        case += f"<{word} type={kind} message={_quoted(one.verdict.seen)}>"
-        case += f"{_text(chr(10).join(more_of(one)))}</{word}>"
+        case += f"<{word} type={kind} message={_quoted(cause_of(one))}>"
+        lines = more_of(one) if one.verdict.result.is_good else told_in_full(one)
+        case += f"{_text(chr(10).join(lines))}</{word}>"
     return case + "</testcase>"
 
 
@@ -210,20 +228,6 @@ def _claims(claims: Mapping[str, str] | None) -> str:
         for name, why_not in claims.items()
     )
     return f"<h2>Claims</h2><table>{rows}</table>"
-
-
-def more_of(one: Finding) -> list[str]:
-    """Return further lines about a clause that did not pass."""
-    lines = [one.verdict.place] if one.verdict.place else []
-    lines += [f"printed: {line}" for line in one.output]
-    if one.second is not None:
-        second = f"{one.second.result.value} {one.second.seen}".rstrip()
-        lines.append(f"not repeatable: a second run with the same seed ended differently: {second}")
-    if one.record is not None:
-        lines.append(f"record: {one.record}")
-    if one.again:
-        lines.append(f"again: {one.again}")
-    return lines
 
 
 def _text(text: str) -> str:

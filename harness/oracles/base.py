@@ -16,6 +16,7 @@ from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import BusError
 from motorhil.traces.decoding.cia402 import state_number
 from motorhil.traces.decoding.events import DecodedEvent
+from motorhil.traces.decoding.narrative import BusMessage
 from motorhil.traces.schema import LockAction
 
 MS: Final = 1_000_000
@@ -96,6 +97,8 @@ class Finding:
             violation that would count if the recording were complete.
         further: number of violations (or doubts) after the first one.
         reason: why it could not be judged; "" if it was.
+        messages: the messages in the frames at the place and time of `first`, by another
+            description than CANopen, if one is given.
     """
 
     oracle: str
@@ -106,10 +109,12 @@ class Finding:
     first: Violation | None = None
     further: int = 0
     reason: str = ""
+    messages: tuple[BusMessage, ...] = ()
 
     def as_table(self) -> dict[str, object]:
         """Return the finding as a table for JSON."""
         table = asdict(self)
+        table["messages"] = [one.as_table() for one in self.messages]
         table["verdict"] = self.verdict.value
         return table
 

@@ -11,9 +11,9 @@ from typing import Final, final
 
 import pytest
 
+from motorhil.harness.conformance.causes import more_of
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Examiner, Finding
-from motorhil.harness.conformance.results import more_of
 from motorhil.harness.conformance.target import Job
 from motorhil.harness.conformance.worker import CannotTestError, Promise, Supervisor, WrongJobError
 from motorhil.harness.pytest_plugin.options import option, record_folder, shortened

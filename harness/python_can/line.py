@@ -55,6 +55,8 @@ class EmulatedLine:
         self.silence_ns: Final = 0 if serial is None else serial.t35_ns
         self.is_closed = False
         self._serial = serial
+        self._world = world
+        self._is_over = False  # closed here
         self._listeners: list[DataListener] = []
         self._port: LineHost = world.add_line_host(name, "host", self._receive)
 
@@ -78,9 +80,22 @@ class EmulatedLine:
 
     def close(self) -> None:
         """Close the connection; closing it again has no effect."""
+        self._is_over = True
         if not self.is_closed:
             self.is_closed = True
             self._port.close()
+
+    def reconnect(self) -> None:
+        """Open a new connection in place of this one.
+
+        Raises:
+            LinkError: the application has closed it.
+        """
+        if self._is_over:
+            raise LinkError(link=self.name, reason="the connection is closed")
+        self._port.close()
+        self._port = self._world.add_line_host(self.name, "host", self._receive)
+        self.is_closed = False
 
     def _receive(self, data: bytes, now_ns: int, transmitted: bool) -> None:
         if transmitted:

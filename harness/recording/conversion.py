@@ -104,6 +104,9 @@ def convert(
         raise TraceError(target, "exists", remedy="name another file, or say --force")
     if name == MODBUS_PCAPNG:
         return _convert_modbus(source, target, name)
+    format_ = format_named(name)
+    if format_ is not None:
+        format_.require(target)
     findings = Findings()
     frames = source.frames(findings)
     first = next(frames, None)
@@ -112,7 +115,6 @@ def convert(
     if first is None:
         raise _nothing_in(source, findings)
     frames = chain((first,), frames)
-    format_ = format_named(name)
     lost: dict[Feature, int] = {}
     if format_ is None:
         told = {"source": Path(source.path).name, "format": source.format}

@@ -4,7 +4,7 @@ A recording names a decoder only by the kind of a controller in its rig, and get
 package registered it under this name. Code that a recording names is never loaded.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
@@ -13,7 +13,10 @@ from motorhil.harness.recording.dbc import Dbc
 from motorhil.traces.decoding.attached_rig import facts_of
 from motorhil.traces.decoding.narrative import BusMessage, Describe
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.formats.frames import Findings, Frame
+from motorhil.traces.formats.registry import Source, recorded_frames
+from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import Attachment
 
 _TEXT_MAX: Final = 200
 
@@ -28,7 +31,7 @@ class GivenDecoder(NamedTuple):
 
 
 def description_for(
-    trace: Trace,
+    attachments: Iterable[Attachment],
     dbc: str | None,
     given: Iterable[GivenDecoder],
     tell: Callable[[str], None],
@@ -36,7 +39,7 @@ def description_for(
     """Return what describes the frames of a recording; None if nothing does.
 
     Args:
-        trace: the recording, with its rig.
+        attachments: files of the recording, among them its rig.
         dbc: path of a DBC file; it takes precedence.
         given: decoders that the user names; they take precedence over those of the rig.
         tell: called with one line about a decoder that fails.
@@ -48,7 +51,7 @@ def description_for(
     for one in given:
         decoders.add(one.bus, one.node, _plugin(one))
     plugins = installed(DECODERS)
-    for table in facts_of(trace.attachments).settings.values() if plugins else ():
+    for table in facts_of(attachments).settings.values() if plugins else ():
         bus, node, kind = table.get("bus"), table.get("node_id"), table.get("kind")
         plugin = plugins.get(kind) if isinstance(kind, str) else None
         if plugin is not None and isinstance(bus, str) and isinstance(node, int):
@@ -61,6 +64,32 @@ def description_for(
         return by_file(bus, frame) or decoders(bus, frame)
 
     return describe
+
+
+def messages_at(
+    source: Source, moments: Collection[tuple[str, int]], describe: Describe
+) -> dict[tuple[str, int], list[BusMessage]]:
+    """Return the known messages of a recording at these moments: bus, log time [ns].
+
+    Raises:
+        TraceError: the recording cannot be read, or is damaged.
+    """
+    found: dict[tuple[str, int], list[BusMessage]] = {}
+
+    def take(frames: Iterable[Frame]) -> None:
+        for frame in frames:
+            moment = frame.bus, frame.time_ns
+            message = describe(frame.bus, frame.frame) if moment in moments else None
+            if message is not None:
+                found.setdefault(moment, []).append(message)
+
+    if source.format != "mcap":
+        take(source.frames(Findings()))
+        return found
+    with read_trace(source.path, source.memory_max) as trace:
+        for time_ns in sorted({time_ns for _, time_ns in moments}):
+            take(recorded_frames(trace, Findings(), time_ns, time_ns + 1))
+    return found
 
 
 def _plugin(given: GivenDecoder) -> Plugin:

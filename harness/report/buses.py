@@ -11,7 +11,7 @@ command, a boot-up, or the first of several missing heartbeats on, an earlier st
 
 import struct
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Final, final
 
@@ -26,6 +26,7 @@ from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder, usual_n
 from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
+from motorhil.traces.decoding.narrative import BusMessage, Describe
 from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.formats.modbus import Malformed, recorded_adu
 from motorhil.traces.protobuf import Value
@@ -386,8 +387,10 @@ class CanBus:
         nodes: Nodes,
         incidents: Incidents,
         data_bitrate_bit_s: int | None = None,
+        describe: Describe | None = None,
     ) -> None:
         """Set up the collector; states go to `nodes`, events go to `incidents`."""
+        self._describe = describe
         why = "" if bitrate_bit_s else "its bit rate is not in the recording; give --bitrate"
         capacity = float(bitrate_bit_s) if bitrate_bit_s else None
         self.traffic = Traffic(name, "CAN", "bit", capacity, why)
@@ -427,7 +430,7 @@ class CanBus:
                 raise ValueError(f"{frame.hex()}: not a valid CAN frame")
             self._error(time_ns, frame, sender)
             return
-        self._weigh(time_ns, can_id, bits)
+        self._weigh(time_ns, can_id, frame, bits)
         if can_id & (EFF | RTR) or len(frame) != 16:
             return
         function = can_id >> 7
@@ -439,7 +442,9 @@ class CanBus:
                 self._begin_canopen(self._decoder.decode(frame))
             self._pdo(time_ns, can_id, frame[8 : 8 + length])
             return
-        self._tell(time_ns, self._decoder.decode(frame))
+        said = self._decoder.decode(frame)
+        message = self._message(frame)
+        self._tell(time_ns, said if message is None else replace(said, text=str(message)))
 
     def end(self, end_ns: int) -> None:
         """Examine the heartbeats up to the end of the recording."""
@@ -448,10 +453,10 @@ class CanBus:
 
     # ----------------------------------------------------------------------------------- load
 
-    def _weigh(self, time_ns: int, can_id: int, bits: tuple[int, int]) -> None:
+    def _weigh(self, time_ns: int, can_id: int, frame: bytes, bits: tuple[int, int]) -> None:
         key = self._labels.get(can_id)
         if key is None:
-            key = self._new_label(can_id)
+            key = self._new_label(can_id, frame)
             if key < LABELS_MAX:
                 self._labels[can_id] = key
         nominal, data = bits
@@ -475,13 +480,20 @@ class CanBus:
         queues = Queues(by_priority=by_priority)
         return self._recorded.subject(rate, data_rate, self._node_names, queues)
 
-    def _new_label(self, can_id: int) -> int:
+    def _message(self, frame: bytes) -> BusMessage | None:
+        return None if self._describe is None else self._describe(self._name, frame)
+
+    def _new_label(self, can_id: int, frame: bytes) -> int:
         identifier = can_id & 0x1FFF_FFFF
         text = f"{identifier:08X}h" if can_id & EFF else f"{identifier:03X}h"
         rank = identifier << 2 | 1 if can_id & EFF else identifier << 20
         if can_id & RTR:
             return self.traffic.label(f"{text} remote", rank + 1)
+        message = self._message(frame)
         name = "" if can_id & EFF else usual_name(identifier, self._node_names)
+        if message is not None:
+            node = message.node and self._node_names.get(message.node, f"node {message.node}")
+            name = f"{message.name} {node}" if node else message.name
         return self.traffic.label(text, rank, name)
 
     # ---------------------------------------------------------------------------------- nodes

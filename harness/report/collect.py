@@ -24,6 +24,7 @@ from motorhil.harness.report.series import (
     reduce_rows,
 )
 from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
+from motorhil.traces.decoding.narrative import Describe
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.mcap.records import Channel
 from motorhil.traces.protobuf import decode
@@ -165,6 +166,7 @@ def collect(
     trace: Trace,
     bitrates: Mapping[str, int] | None = None,
     data_bitrates: Mapping[str, int] | None = None,
+    describe: Describe | None = None,
 ) -> Findings:
     """Collect the contents of a recording; of a truncated one, as far as it is readable.
 
@@ -172,6 +174,7 @@ def collect(
         trace: the open recording.
         bitrates: bit rates of CAN buses [bit/s]; they override the recording.
         data_bitrates: the same for the data phase of CAN FD.
+        describe: returns the message in a frame, if it knows that; None: nothing does.
 
     Raises:
         TraceError: the recording is damaged.
@@ -184,7 +187,7 @@ def collect(
         return found
     found.begin_ns = span[0]
     found.in_order = span[0] == span[1]
-    pass_ = _Pass(found)
+    pass_ = _Pass(found, describe)
     handlers, tallies = pass_.handlers, pass_.tallies
     begin_ns, in_order = span[0], found.in_order
     last_ns = end_ns = begin_ns
@@ -292,10 +295,11 @@ class _Pass:
         tallies: the number of messages of each channel.
     """
 
-    def __init__(self, found: Findings) -> None:
+    def __init__(self, found: Findings, describe: Describe | None) -> None:
         self.handlers: dict[int, _Handler] = {}
         self.tallies: dict[int, int] = {}
         self._found = found
+        self._describe = describe
         self._channels: list[tuple[Channel, bool]] = []
         self._columns: list[_Columns] = []
 
@@ -336,7 +340,9 @@ class _Pass:
                     rates.get(name) for rates in (found.rig.bitrates, found.rig.data_bitrates)
                 )
                 nodes, incidents = found.nodes, found.incidents
-                bus = CanBus(name, rate, found.names, nodes, incidents, data_rate)
+                bus = CanBus(
+                    *(name, rate, found.names, nodes, incidents, data_rate, self._describe)
+                )
                 bus.is_timed = not found.in_order
                 found.buses[name] = bus
             return bus.take

@@ -124,14 +124,16 @@ class Desk:
 def work_lock(desk: Desk) -> None:
     """Take a bare lock repeatedly, and command a number in memory while holding it.
 
+    A worker takes the lock at least once, so that one that begins after the last kill does as well.
+
     Facts: inside_s, lease_s (0: none), take_over (probability), commands (each time).
     """
     lock = ProcessLock("lock", "the lock", LockDirectory(desk.folder / "locks"))
     runtime = WallRuntime()
     lease_s = desk.fact("lease_s", 0.0) or None
     commands = round(desk.fact("commands", 2))
-    turn = 0
-    while not desk.is_over:
+    turn, has_taken = 0, False
+    while not (has_taken and desk.is_over):
         turn += 1
         by_force = desk.random.random() < desk.fact("take_over", 0.0)
         take = desk.history.call(desk.name, "lock", Action.TAKE, forced=by_force)
@@ -149,6 +151,7 @@ def work_lock(desk: Desk) -> None:
             take.returned(Answer.REFUSED)
             continue
         take.returned(token=hold.token, forced=hold.was_taken_over)
+        has_taken = True
         desk.note_inside(True)
         for number in range(commands):
             desk.spend(desk.fact("inside_s", 50e-6) / commands)

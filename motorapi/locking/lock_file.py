@@ -48,6 +48,7 @@ import fcntl
 import os
 import struct
 import threading
+import time
 import weakref
 import zlib
 from collections.abc import Callable
@@ -114,6 +115,11 @@ def line_block(epoch: int) -> int:
 def waiter_block(place: int) -> int:
     """Return the offset of the block of a place."""
     return BLOCK * (1 + LINES + place % WAITERS)
+
+
+def first_token() -> int:
+    """Return a token for a new file, greater than any in a file removed before."""
+    return time.time_ns() // 1000
 
 
 def takeover_block(lost: int) -> int:
@@ -486,16 +492,21 @@ class LockFile:
                 continue
             data = os.pread(self._fd, _LAST_SIZE + BLOCK * number, EPOCH_AT)
             now, _, intent = HEADER.unpack_from(data) if len(data) >= HEADER.size else _NOTHING
-            if now == epoch and (intent != epoch + 1 or not self._is_being_taken(number)):
+            if now == epoch and (intent != epoch + 1 or self._is_intent_left_over(number)):
                 self._last = last_of(data, HEADER.size + BLOCK * number)
                 return True
             self._try(_DROP[number])  # the epoch advanced before we had the lock
             if not self.look_up():
                 return False
 
-    def _is_being_taken(self, number: int) -> bool:
-        """Return True during a takeover; a process that died in it has not locked the byte."""
-        return find(self._fd, fcntl.F_RDLCK, held_at(number) + 2, 1) is not None
+    def _is_intent_left_over(self, number: int) -> bool:
+        """Return True if the process with the intent died before it advanced the epoch.
+
+        The order matters: a takeover that ends in between has advanced the epoch before it unlocked
+        the byte.
+        """
+        is_being_taken = find(self._fd, fcntl.F_RDLCK, held_at(number) + 2, 1) is not None
+        return not is_being_taken and self.is_current
 
     def wait_before(self, place: int) -> None:
         """Wait, without a timeout, until no process is before the place."""

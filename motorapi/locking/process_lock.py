@@ -28,7 +28,14 @@ from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
 from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
-from motorhil.motorapi.locking.lock_file import LEASE, NO_LEASE, LockFile, pack_record, pack_words
+from motorhil.motorapi.locking.lock_file import (
+    LEASE,
+    NO_LEASE,
+    LockFile,
+    first_token,
+    pack_record,
+    pack_words,
+)
 from motorhil.motorapi.locking.lock_status import (
     LockView,
     Occupant,
@@ -520,6 +527,21 @@ def _removed_error(runtime: Runtime, asker: str, rival: Rival, who: Occupant) ->
     )
 
 
+def _begin_first_write(file: LockFile, request: LockRequest) -> None:
+    """Block takeovers until the first token of a new file is published: nobody could know it.
+
+    Raises:
+        MotorBusyError: the lock is being taken over.
+    """
+    if file.try_write():
+        return
+    if request.timeout_s != 0.0 and request.wait(
+        request.runtime, file.try_write, request.timeout_s
+    ):
+        return
+    raise _busy_error(request.runtime, request.asker, Occupant(None), _DOING[Attempt.TAKING])
+
+
 def can_share_time(runtime: Runtime) -> bool:
     """Return True if another process can end a wait in this runtime: the wall runtime."""
     return hasattr(runtime, "wake")  # as Wakeable; isinstance would take 40 us
@@ -600,6 +622,8 @@ class ProcessLock:
                     takeover = self._take(file, self._request(*asked))
                 if not file.witness():
                     self._await_rival(file, self._request(*asked), takeover)
+                if takeover is None and file.last() is None:
+                    _begin_first_write(file, self._request(*asked))
                 if not file.is_gone:
                     hold = self._publish(file, purpose, lease_ns, takeover, owner)
                     if hold is not None:
@@ -770,17 +794,18 @@ class ProcessLock:
             token, identity, was_abandoned = takeover.token, takeover.from_identity, False
         else:
             last = file.last()
-            if last is None:  # greater than any token in a removed file
-                last = time.time_ns() // 1000, b"", False
-            token, identity, was_abandoned = last
+            token, identity, was_abandoned = last or (first_token(), b"", False)
             token += 1
             lease = NO_LEASE
             if lease_ns:
                 lease = LEASE.pack(lease_ns, time.monotonic_ns() + lease_ns)
             file.tell_holder(token, self._record(token, purpose, None), lease)
-            if not identity and not file.is_current:  # taken over, by a token that may be smaller
-                self.give_back(file)
-                return None
+            if last is None:
+                is_ours = file.is_current  # else it was taken, by a token that may be smaller
+                file.end_write()
+                if not is_ours:
+                    self.give_back(file)
+                    return None
         hold = self._hold = LockHandle(
             self,
             file,

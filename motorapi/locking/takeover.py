@@ -37,6 +37,7 @@ from motorhil.motorapi.locking.lock_file import (
     Record,
     find,
     first_places,
+    first_token,
     flock,
     held_at,
     line_block,
@@ -116,11 +117,10 @@ class TakeoverAttempt:
     def _find_due(self) -> Attempt | None:
         """Return None if a takeover is permitted, else the reason against it."""
         file = self._file
-        held = held_at(file.epoch)
+        held, line = held_at(file.epoch), file.line()  # a token not in the line yet is in the lock
         found = find(file.fd, fcntl.F_RDLCK, held, 1)
         if found is None:
             return Attempt.FREE
-        line = file.line()
         told = held - found[0]
         if self._now_ns is not None and (
             line.is_new or told != line.token or not 0 < line.lease_end_ns <= self._now_ns
@@ -133,7 +133,7 @@ class TakeoverAttempt:
     @staticmethod
     def _next(line: Line) -> int:
         """Return the token of a holder that has not published it yet: only one is possible."""
-        return line.token + 1
+        return first_token() if line.is_new else line.token + 1
 
     def _who_writes(self) -> Attempt:
         at = held_at(self._file.epoch) + 2

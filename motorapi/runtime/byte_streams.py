@@ -13,6 +13,7 @@ Source: for the silent intervals MODBUS over Serial Line V1.02, section 2.5.1.1.
 import select
 import socket
 import struct
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
@@ -66,15 +67,37 @@ class TcpLine:
         self.address: Final = (host, port)
         self.channel_info: Final = self.name  # its name in messages of the runtime
         self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed = False
+        self.is_closed = self._is_over = False  # by either end; by this one
+        self._failed_s: float | None = None
+        self._socket = self._connected(timeout_s)
+
+    def _connected(self, timeout_s: float) -> socket.socket:
         try:
-            self._socket = socket.create_connection((host, port), timeout_s)
+            connection = socket.create_connection(self.address, timeout_s)
         except OSError as error:
             reason = f"no connection ({error.strerror or error})"
             raise LinkError(link=self.name, reason=reason) from error
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.setblocking(True)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_TIMEOUT)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(True)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_TIMEOUT)
+        return connection
+
+    def reconnect(self) -> None:
+        """Open a new connection in place of this one, within 1 s; at most one attempt per second.
+
+        Raises:
+            LinkError: the host does not answer, or the application has closed the line.
+        """
+        now_s = time.monotonic()
+        if self._is_over:
+            raise LinkError(link=self.name, reason="the connection is closed")
+        if self._failed_s is not None and now_s < self._failed_s + _SEND_S:
+            raise LinkError(link=self.name, reason="no connection; the last attempt has failed")
+        before = self._socket
+        self._failed_s = now_s
+        self._socket = self._connected(_SEND_S)
+        self._failed_s, self.is_closed = None, False
+        before.close()
 
     @property
     def wall(self) -> WallRuntime:
@@ -101,7 +124,7 @@ class TcpLine:
 
     def close(self) -> None:
         """Close the connection; closing again does nothing."""
-        self.is_closed = True
+        self.is_closed = self._is_over = True
         self._socket.close()
 
     # --- the frame source for the runtime
@@ -109,11 +132,13 @@ class TcpLine:
 
     def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
         """Return (received bytes, 0, False), b"" at the end; None after `timeout_s` [s]."""
-        data = b""
+        data, connection = b"", self._socket
         with suppress(OSError, ValueError):  # closed here, or broken
-            if not select.select([self._socket], [], [], timeout_s)[0]:
+            if not select.select([connection], [], [], timeout_s)[0]:
                 return None
-            data = self._socket.recv(_READ_MAX)
+            data = connection.recv(_READ_MAX)
+        if connection is not self._socket:
+            return None  # of a connection that was replaced
         if not data:
             self.is_closed = True
         return data, 0, False

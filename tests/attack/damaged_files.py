@@ -34,6 +34,7 @@ from motorhil.traces.formats.registry import WRITABLE
 from tests.attack.campaign import Attack, Attempt, Done
 from tests.support.checkout import CHECKOUT
 from tests.support.motors.kinds import BUS, EVERY, MODEL
+from tests.support.recordings.formats import IS_THERE
 
 SECONDS_MAX: Final = 5
 MEGABYTES_MAX: Final = 300
@@ -150,10 +151,10 @@ class Folder:
         for name in ("cia402", "leadshine_tcp"):
             data = (GOLDEN / f"{name}.mcap").read_bytes()
             found[f"mcap of {name}"] = Original(data, "it.mcap", RECORDED)
-        for form in WRITABLE:
+        for form in (one for one in WRITABLE if IS_THERE[one.name]):
             path = self.path / f"whole{form.ending}"
             _quietly("convert", str(GOLDEN / "cia402.mcap"), "-o", str(path), "--to", form.name)
-            is_text = form.name not in ("blf", "pcapng")
+            is_text = form.name not in ("blf", "pcapng", "mf4")
             found[form.name] = Original(path.read_bytes(), f"it{form.ending}", RECORDED, is_text)
         path = self.path / "modbus.pcapng"
         source = str(GOLDEN / "leadshine_tcp.mcap")

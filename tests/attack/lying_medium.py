@@ -48,12 +48,9 @@ _TRIES: Final = 3  # a call may find out only now what the trouble has done
 _ROUNDING_RAD: Final = 0.001
 _VELOCITY_RAD_S: Final = 0.15
 _CAN: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE, FaultKind.CORRUPT)
-# Counts do not show which cycle they belong to (motorapi/adaptations/host_servo/cycle.py): the
-# velocity computed from delayed ones is wrong, and no host can know.
-_CYCLIC: Final = tuple(kind for kind in _CAN if kind is not FaultKind.DELAY)
 _SERIAL: Final = tuple(SerialFaultKind)
-# TRUNCATE breaks a connection for ever, which the rig, not the host, has opened.
-_TCP: Final = tuple(kind for kind in _SERIAL if kind is not SerialFaultKind.TRUNCATE)
+# An answer sent twice may be heard as that to the next request, which RTU does not number.
+_RTU: Final = tuple(kind for kind in _SERIAL if kind is not SerialFaultKind.REPEAT)
 _TIMED: Final = (SerialFaultKind.DELAY, SerialFaultKind.PAUSE, SerialFaultKind.REPEAT)
 _PLACED: Final = (SerialFaultKind.TRUNCATE, SerialFaultKind.PAUSE)
 
@@ -102,6 +99,11 @@ class Truth:
     def position(self) -> float:
         """Return the position now [rad]."""
         return self._rig.world.snapshot(self._controller)["position_rad"]
+
+    def positions_since(self, since_ns: int) -> tuple[float, float]:
+        """Return the lowest and the highest position from then to now [rad]."""
+        seen = [one[1] for one in self._seen if one[0] >= since_ns] + [self.position()]
+        return min(seen), max(seen)
 
     def require(self, what: str, value: float, at_ns: int, place: int, tolerance: float) -> None:
         """Raise SilentlyWrong if the value has not been true since `at_ns` less the age.
@@ -157,10 +159,7 @@ class Trouble:
 
     def _can(self, name: str, common: dict[str, Any]) -> FaultRule:
         dice = self._dice
-        is_cyclic = any(
-            one.adaptation == "software" for one in self._rig.description.motors.values()
-        )
-        kind = dice.choice(_CYCLIC if is_cyclic else _CAN)
+        kind = dice.choice(_CAN)
         more: dict[str, Any] = {}
         if kind is FaultKind.DELAY:
             more = {"delay_ns": dice.randrange(1, DELAY_MAX_NS)}
@@ -175,7 +174,7 @@ class Trouble:
 
     def _serial(self, name: str, common: dict[str, Any], is_tcp: bool) -> SerialFaultRule:
         dice = self._dice
-        kind = dice.choice(_TCP if is_tcp else _SERIAL)
+        kind = dice.choice(_SERIAL if is_tcp else _RTU)
         more: dict[str, Any] = {}
         if kind in _TIMED:
             more["delay_ns"] = dice.randrange(1, DELAY_MAX_NS)
@@ -267,14 +266,17 @@ class Program:
 
     def _move(self) -> None:
         distance = self._dice.choice((-0.4, -0.05, 0.05, 0.4))
-        before = self._truth.position()
+        asked_ns, before = self._rig.runtime.now_ns(), self._truth.position()
         self.motor.set_control_mode(ControlMode.TRAJECTORY)
         self.motor.set_trajectory(TrapezoidalTrajectory(distance))
         self.motor.start()
-        begun = self._truth.position()  # it may have been slowing down until now
+        # It may have been slowing down until it began; by now it has begun.
+        least, most = self._truth.positions_since(asked_ns)
+        begun = self._truth.position()
         self.motor.wait_until_done(5)
         now = self._truth.position()
-        low, high = min(before, begun) + distance, max(before, begun) + distance
+        low = (least if distance > 0.0 else min(before, begun)) + distance
+        high = (most if distance < 0.0 else max(before, begun)) + distance
         if not low - 2 * self._tolerance <= now <= high + 2 * self._tolerance:
             raise SilentlyWrong(f"done at {now:.5f} rad; expected {low:.5f} to {high:.5f} rad")
 

@@ -18,7 +18,8 @@ CLAUSES = all_clauses()
 _OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04")
 _POLLED = frozenset(
     {
-        *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "SYNC-06"),
+        *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
+        *("LIM-05", "SYNC-06", "SYNC-11"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08"),
         *_OF_CAN,
     }
@@ -27,7 +28,8 @@ NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
     "ideal": frozenset(
         {
-            *("STATE-02", "MEAS-02", "MEAS-03", "SET-04", "SET-07", "TRAJ-06"),  # no load
+            *("STATE-02", "MEAS-02", "MEAS-03", "MEAS-05"),  # no load
+            *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "SHARE-02", "SYNC-05", "SYNC-06"),  # no bus
             *(f"LOST-{number:02}" for number in range(1, 11)),
             *_OF_CAN,

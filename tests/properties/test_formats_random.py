@@ -16,6 +16,7 @@ from motorhil.traces.formats import frames as traffic
 from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import WRITABLE, Feature, record_frames
 from motorhil.traces.schema import Direction
+from tests.support.recordings.formats import WRITTEN, in_order_of
 
 BLF = next(form for form in WRITABLE if form.name == "blf")
 NAMES = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)
@@ -50,7 +51,8 @@ def contents(draw, holds):
 
 
 @st.composite
-def recordings(draw, holds):
+def recordings(draw, form):
+    holds = form.holds
     unit_ns = 1 if Feature.NANOSECONDS in holds else 1000
     begin_ns = draw(BEGINS_NS)
     bus = st.sampled_from(["can0", "can1", "can2", "can65534"])
@@ -68,13 +70,14 @@ def recordings(draw, holds):
         st.sampled_from(ways),
         TEXT if Feature.SENDER in holds else st.just(""),
     )
-    return draw(st.lists(one, min_size=1, max_size=12))
+    frames = draw(st.lists(one, min_size=1, max_size=12))
+    return in_order_of(form, frames)
 
 
-@pytest.mark.parametrize("form", WRITABLE, ids=lambda form: form.name)
+@pytest.mark.parametrize("form", WRITTEN)
 @given(st.data())
 def test_conversion_and_back_keeps_digest(form, data):
-    frames = data.draw(recordings(form.holds))
+    frames = data.draw(recordings(form))
     with tempfile.TemporaryDirectory() as name:
         paths = [Path(name) / file for file in ("a.mcap", "b" + form.ending, "c.mcap")]
         record_frames(paths[0], frames, {})
@@ -85,7 +88,7 @@ def test_conversion_and_back_keeps_digest(form, data):
         assert digest(paths[0]) == digest(paths[2])
 
 
-@given(recordings(BLF.holds))
+@given(recordings(BLF))
 def test_python_can_reads_same_frames_from_blf(frames):
     with tempfile.TemporaryDirectory() as name:
         paths = [Path(name) / file for file in ("a.mcap", "b.blf")]

@@ -84,6 +84,11 @@ class BusMessage:
     problem: str = ""
     node: int | None = None
 
+    def as_table(self) -> dict[str, object]:
+        """Return the name and the signals as JSON values."""
+        signals = {name: {"value": value, "unit": unit} for name, value, unit in self.signals}
+        return {"name": self.name, "signals": signals}
+
     def __str__(self) -> str:
         if self.problem:
             return f"{self.name}: not decodable: {self.problem}"

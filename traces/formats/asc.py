@@ -247,7 +247,7 @@ def _row(frame: Frame, channel: int) -> str:
     if not told.fd:
         return f"{channel}  {digits:<15} {way}   d {told.length:x} {data}".rstrip()
     brs, esi = told.flags & can_frame.BRS, (told.flags & can_frame.ESI) >> 1
-    dlc = next(n for n in range(16) if can_frame.FD_LENGTHS[n] >= told.length)
+    dlc = can_frame.dlc(told.length)
     flags = _EDL | (_BRS_FLAG if brs else 0) | (_ESI_FLAG if esi else 0)
     head = f"CANFD {channel:3d} {way} {digits:>10} {'':>33}{brs} {esi} {dlc:x} {told.length:2d}"
     # after the data: duration, length in bits, flags, CRC, bit timing; only the flags are known

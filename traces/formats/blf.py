@@ -355,7 +355,7 @@ def _object(told: Fields, direction: Direction, channel: int) -> tuple[int, byte
     flags = (_REMOTE if told.can_id & can_frame.RTR else 0) | (_SENT if sent else 0)
     if not told.fd:
         return _MESSAGE_KIND, _MESSAGE.pack(channel, flags, told.length, can_id, told.data)
-    dlc = next(n for n in range(16) if can_frame.FD_LENGTHS[n] >= told.length)
+    dlc = can_frame.dlc(told.length)
     bits = 1 | (2 if told.flags & can_frame.BRS else 0) | (4 if told.flags & can_frame.ESI else 0)
     body = _FD_MESSAGE.pack(channel, flags, dlc, can_id, 0, 0, bits, told.length, told.data)
     return _FD_KIND, body

@@ -42,8 +42,16 @@ _HEAD_BYTES: Final = 1 << 16
 _HEAD_LINES: Final = 200
 
 
-def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
+def recorded_frames(
+    trace: Trace, findings: Findings, from_ns: int | None = None, to_ns: int | None = None
+) -> Iterator[Frame]:
     """Yield the CAN frames of a recording in written order; other messages become notes.
+
+    Args:
+        trace: the recording.
+        findings: notes and problems are added to it.
+        from_ns: the begin of the span [ns]; None: that of the recording.
+        to_ns: the end of the span [ns]; None: that of the recording.
 
     Raises:
         TraceError: a chunk is damaged.
@@ -51,7 +59,7 @@ def recorded_frames(trace: Trace, findings: Findings) -> Iterator[Frame]:
     left_out: dict[str, int] = {}
     known: dict[int, str | None] = {}
     decode = FrameDecoder().decode
-    for number, (channel, time_ns, payload) in enumerate(trace.messages(), 1):
+    for number, (channel, time_ns, payload) in enumerate(trace.messages(None, from_ns, to_ns), 1):
         bus = known.get(channel.number, "")
         if bus == "":
             ours = channel.schema is not None and channel.schema.name == CAN_FRAME.name
@@ -117,6 +125,7 @@ class Feature(Flag):
     SENDER = auto()
     REMOTE = auto()  # and the number of bytes requested
     FD = auto()  # with BRS and ESI
+    ORDER = auto()  # that of writing, where it is not the order of time, or stamps are equal
     ERROR_FRAMES = auto()  # and their contents
 
 
@@ -129,6 +138,7 @@ IN_WORDS: Final = {
     Feature.SENDER: "who sent a frame",
     Feature.REMOTE: "remote frames",
     Feature.FD: "CAN FD",
+    Feature.ORDER: "the order of frames whose times step back or are equal",
     Feature.ERROR_FRAMES: "what error frames tell",
 }
 _ALL: Final = ~Feature(0)
@@ -144,12 +154,15 @@ class Format:
         ending: the ending of file names; "" if it has to be named.
         holds: the features it can store.
         write: its writer.
+        require: called with the target's path before reading; raises TraceError if a library that
+            the writer needs is not installed.
     """
 
     name: str
     ending: str
     holds: Feature
     write: "Write"
+    require: Callable[[str], object] = str
 
 
 @final
@@ -162,6 +175,7 @@ class Survey:
         self.lowest_ns = 0
         self.frames = 0
         self.counts: dict[Feature, int] = {}
+        self._last = (0, 0)
 
     @property
     def places(self) -> int:
@@ -193,6 +207,10 @@ class Survey:
             self._count(Feature.FD)
         if can_id & ERR:
             self._count(Feature.ERROR_FRAMES)
+        place = mf4.order_key(frame)
+        if place < self._last:
+            self._count(Feature.ORDER)
+        self._last = place
 
     def _count(self, feature: Feature) -> None:
         self.counts[feature] = self.counts.get(feature, 0) + 1
@@ -257,6 +275,17 @@ WRITABLE: Final = (
     Format(
         *("pcapng", ".pcapng", _ALL),
         lambda file, seen, frames: pcap_can.write_pcapng(file, seen.buses, frames),
+    ),
+    Format(
+        *("mf4", ".mf4", _ALL & ~_NUMBERED & ~Feature.ORDER | Feature.ERROR_FRAMES),
+        lambda file, seen, frames: mf4.write_mf4(
+            file,
+            seen.buses,
+            seen.lowest_ns,
+            64 if Feature.FD in seen.counts else 8,
+            sorted(frames, key=mf4.order_key) if Feature.ORDER in seen.counts else frames,
+        ),
+        mf4.require_writer,
     ),
 )
 

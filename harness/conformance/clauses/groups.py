@@ -1,12 +1,15 @@
 """L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
-from math import hypot
+from math import hypot, sqrt
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     BEGUN,
+    FINE_S,
     GroupPositions,
     elapsed_s,
     expect_group_moved,
@@ -33,6 +36,8 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
+    ControlMode,
+    DerivativeLimits,
     FaultReaction,
     Motor,
     MotorGroup,
@@ -41,6 +46,8 @@ from motorhil.motorapi import (
     Synchronization,
     SynchronizationError,
     SyncLevel,
+    SyncQuality,
+    TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
 )
@@ -49,6 +56,7 @@ _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
 _FRAMES = 16  # of the host, in the start of a pair
+_WATCHED_S = 0.2
 _FAR = 1e-6  # U: two skews that are not meant to differ
 
 
@@ -104,28 +112,122 @@ def sync_quality_is_as_measured(bench: RigProtocol) -> None:
     group.start()
     finish_group(bench, group)
     track.end()
-    quality, tolerance_s = group.sync_quality(), bench.facts.time_tolerance_s
+    quality = group.sync_quality()
     seen_s = track.skew_s(BEGUN, ways) or 0.0
     error_s = sampling_error_s(bench, way, BEGUN) + bench.facts.latency_s[1]
     expect(
         quality.start_skew_s is None or abs(quality.start_skew_s - seen_s) <= error_s,
         f"start skew: {quality.start_skew_s} s reported; {seen_s:.6f} s measured",
     )
+    _expect_true_times(bench, quality, track, ways)
+
+
+def _expect_true_times(
+    bench: RigProtocol, quality: SyncQuality, track: GroupPositions, ways: tuple[float, ...]
+) -> list[float]:
+    """Check each member's reported start and end against its motion; return the true ends [ns].
+
+    A profile makes the first share of its way in the ramp up, and the last in the ramp down.
+    """
     expect(len(quality.times) == len(ways), f"times of {len(quality.times)} motors reported")
+    ends_ns = []
     for member, (name, times) in enumerate(quality.times):
-        if times is None or times.started_ns is None or times.ended_ns is None:
+        model, way = bench.motors[member].model, ways[member]
+        up_s = sqrt(2.0 * BEGUN * abs(way) / model.acceleration_max)
+        down_s = sqrt(2.0 * BEGUN * abs(way) / model.deceleration)
+        begun_ns = (track.when(member, BEGUN, way) or 0.0) - 1e9 * up_s
+        ends_ns.append((track.when(member, _ENDED, way) or 0.0) + 1e9 * down_s)
+        error_s = sampling_error_s(bench, way, BEGUN) + max(map(abs, bench.facts.latency_s))
+        late_s = error_s + bench.facts.time_tolerance_s
+        if times is None:
             continue
-        took_s = (times.ended_ns - times.started_ns) / 1e9
-        least_s = shortest_s(bench.motors[member], way)
+        for what, reported_ns, true_ns, most_s in (
+            ("start", times.started_ns, begun_ns, error_s),
+            ("end", times.ended_ns, ends_ns[member], late_s),
+        ):
+            off_s = 0.0 if reported_ns is None else (reported_ns - true_ns) / 1e9
+            expect(
+                -error_s <= off_s <= most_s,
+                f"{name}: {what} reported {off_s:.6f} s after that of the motion, which was at"
+                f" {true_ns / 1e9:.6f} s; expected {-error_s:.6f} to {most_s:.6f} s",
+            )
+    return ends_ns
+
+
+@clause(
+    "SYNC-10",
+    Level.L4,
+    needs=_MOVES,
+    bench=_TWO,
+    source="requirement 5 of the paper: feedback on the quality; SyncQuality.end_skew_s",
+)
+def unequal_ends_are_reported(bench: RigProtocol) -> None:
+    """If members end apart, their ends and the end skew are reported as they were, or not."""
+    way = half_move(bench)
+    ways = (0.4 * way, -4.0 * way)
+    group = pair_of(bench, *ways)
+    group.synchronization = Synchronization.NONE
+    track = GroupPositions(bench, group)
+    group.start()
+    finish_group(bench, group)
+    rest_for(bench, bench.facts.time_tolerance_s)
+    track.end()
+    quality = group.sync_quality()
+    ends_ns = _expect_true_times(bench, quality, track, ways)
+    true_s = (max(ends_ns) - min(ends_ns)) / 1e9
+    most_s = bench.facts.time_tolerance_s + sampling_error_s(bench, ways[0], BEGUN)
+    reached(true_s > most_s, f"members that end more than {most_s:.3f} s apart")
+    for what, found_s in (
+        ("measured", quality.end_skew_s),
+        ("predicted", quality.predicted_end_skew_s),
+    ):
         expect(
-            abs(took_s - least_s) <= tolerance_s + error_s,
-            f"{name}: duration of {took_s:.6f} s reported; the motion takes {least_s:.6f} s",
+            found_s is None or abs(found_s - true_s) <= most_s,
+            f"end skew: {found_s} s {what}; the motors ended {true_s:.6f} s apart",
         )
-        begun_ns = track.when(member, BEGUN, ways[member]) or 0.0
-        expect(
-            times.started_ns <= begun_ns + error_s * 1e9,
-            f"{name}: start reported {(times.started_ns - begun_ns) / 1e9:.6f} s late",
-        )
+
+
+@clause(
+    "SYNC-11",
+    Level.L4,
+    needs={*_MOVES, Capability.COMMON_TRIGGER},
+    bench={*_TWO, Ability.AFRESH},
+    source="SyncLevel.TRIGGERED: one signal starts all motors; SyncCapability.command_skew_s",
+)
+def common_signal_starts_all_at_once(bench: RigProtocol) -> None:
+    """If one signal starts all, the order of the members does not matter: none has a lead."""
+    (ahead_s, most_s), (behind_s, _) = _lead_s(bench, 1), _lead_s(bench, -1)
+    lead_s = 0.5 * (ahead_s + behind_s)  # a difference of the motors cancels out
+    expect(
+        abs(lead_s) <= most_s,
+        f"one signal is claimed, but in either order the first member began {lead_s:.6f} s before"
+        f" the second; expected at most {most_s:.6f} s",
+    )
+
+
+def _lead_s(bench: RigProtocol, order: int) -> tuple[float, float]:
+    """Start equal moves of two motors, set up already, in this order.
+
+    Returns:
+        The lead of the first member, and the largest lead of motors that one signal starts [s].
+    """
+    bench.afresh()
+    way = half_move(bench)
+    group = MotorGroup(*bench.motors[:2][::order])
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*trajectories_of(0.1 * way, 0.1 * way))
+    group.start()
+    finish_group(bench, group)
+    group.set_trajectory(*trajectories_of(way, way))
+    early_s, late_s = bench.facts.latency_s
+    most_s = (group.sync_capability().command_skew_s or 0.0) + late_s - early_s + 0.5 * FINE_S
+    track = GroupPositions(bench, group)
+    group.start()
+    finish_group(bench, group)
+    track.end()
+    first, second = (track.when(member, BEGUN, way) for member in (0, 1))
+    expect(first is not None and second is not None, "not all members began")
+    return ((second or 0.0) - (first or 0.0)) / 1e9, most_s
 
 
 @clause(
@@ -297,6 +399,62 @@ def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> flo
     return max(
         abs((a - first) * ways[1] - (b - second) * ways[0]) / length for _, (a, b) in track.samples
     )
+
+
+@clause(
+    "SYNC-12",
+    Level.L4,
+    needs=_MOVES,
+    bench=_TWO,
+    source="MotorGroup.start: if one refuses, none moves; paper 3.3.3, only without errors",
+)
+def refused_member_keeps_all_at_rest(bench: RigProtocol) -> None:
+    """If the start of one member is refused, no member moves; the next start moves all of them."""
+    way = half_move(bench)
+    motors = bench.motors[:2]
+    group = pair_of(bench, *(0.2 * way for _ in motors))
+    group.start()
+    finish_group(bench, group)  # both motors are now fully set up
+    for place, motor in enumerate(motors):
+        for what, trouble in _refusals(bench, motor, way):
+            before = positions_of(bench, group)
+            ways: list[TrapezoidalTrajectory] = trajectories_of(way, way)
+            with trouble as instead:
+                if instead is not None:
+                    ways[place] = instead
+                group.set_trajectory(*ways)
+                error = failure_of(group.start)
+                expect(error is not None, f"{motor.name} {what}, but its group was started")
+                rest_for(bench, _WATCHED_S)
+                for one, was in zip(motors, before, strict=True):
+                    expect_unmoved(bench, one, was, f"{motor.name} {what}: {one.name}")
+            rest_for(bench, _WATCHED_S)
+            for one, was in zip(motors, before, strict=True):
+                expect_unmoved(bench, one, was, f"{motor.name} {what}: later, {one.name}")
+    before = positions_of(bench, group)
+    group.set_trajectory(*trajectories_of(-way, -way))
+    group.start()
+    finish_group(bench, group)
+    expect_group_moved(bench, group, before, (-way, -way), "after starts that were refused")
+
+
+def _refusals(
+    bench: RigProtocol, motor: Motor, way: float
+) -> Iterator[tuple[str, AbstractContextManager[TrapezoidalTrajectory | None]]]:
+    """Yield reasons to refuse a motor, in words, and each reason with its trajectory, if any."""
+    here = motor.position()
+    far = here - way - 2.0 * motor.model.start_tolerance
+    limits = DerivativeLimits(value=(here - way, here + 0.5 * way))
+    yield "would leave its limits", nullcontext(TrapezoidalTrajectory(way, limits=limits))
+    yield "is elsewhere", nullcontext(TrapezoidalTrajectory(here, far))
+    if Ability.SEVERAL_USERS in bench.abilities:
+        yield "is reserved", _reserved(bench.another_user_of(motor))
+
+
+@contextmanager
+def _reserved(user: Motor) -> Iterator[None]:
+    with user.reserve("a clause"):
+        yield None
 
 
 @clause(

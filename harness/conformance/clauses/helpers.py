@@ -7,7 +7,7 @@ Where instants of a group are compared, its members move the same distance. Then
 profile, and reach each share of it at the same time.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +33,8 @@ from motorhil.motorapi import (
 
 if TYPE_CHECKING:
     from hypothesis import settings
+
+    from motorhil.motorapi.functions import Function
 
 SAMPLE_S: Final = 0.005
 FINE_S: Final = 0.001
@@ -439,14 +441,18 @@ def error_ending(
 
 def smooth_move(motor: Motor, way: float) -> ComplexTrajectory:
     """Return a cubic trajectory of this distance, from rest to rest, within the model's limits."""
-    from motorhil.motorapi.functions import Polynomial
-
     model = motor.model
     slowest = _CALM * min(model.acceleration_max, model.deceleration)
-    # way (3 s^2 - 2 s^3) over a time T: at most 6 way / T^2 and 1.5 way / T
     time_s = max(sqrt(6.0 * abs(way) / slowest), 1.5 * abs(way) / (0.8 * model.velocity_max))
+    return ComplexTrajectory(cubic_step(way, time_s), relative=True)
+
+
+def cubic_step(way: float, time_s: float) -> "Function":
+    """Return way (3 s² - 2 s³) over a time T: at most 1.5 way/T fast and 6 way/T² steep."""
+    from motorhil.motorapi.functions import Polynomial
+
     cubic = Polynomial((0.0, 0.0, 3.0 * way / time_s**2, -2.0 * way / time_s**3))
-    return ComplexTrajectory(cubic.restricted(0.0, time_s), relative=True)
+    return cubic.restricted(0.0, time_s)
 
 
 def until_rest_s(bench: RigProtocol, motor: Motor) -> float:
@@ -562,7 +568,7 @@ def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
     return group
 
 
-def positions_of(bench: RigProtocol, group: MotorGroup) -> list[float]:
+def positions_of(bench: RigProtocol, group: Iterable[Motor]) -> list[float]:
     """Return the positions of all members [U]."""
     return [position_of(bench, motor) for motor in group]
 
@@ -570,8 +576,10 @@ def positions_of(bench: RigProtocol, group: MotorGroup) -> list[float]:
 class GroupPositions:
     """Records the positions of a group's members from its creation; times are in ns."""
 
-    def __init__(self, bench: RigProtocol, group: MotorGroup, period_s: float = FINE_S) -> None:
-        self._bench, self._group = bench, group
+    def __init__(
+        self, bench: RigProtocol, group: Iterable[Motor], period_s: float = FINE_S
+    ) -> None:
+        self._bench, self._group = bench, tuple(group)
         self.samples: list[tuple[int, list[float]]] = []
         self._timer = bench.runtime.every(period_s, self._sample)
         self._sample()

@@ -1,14 +1,11 @@
-"""L0: motors match their models; identity, state and measured values are right."""
+"""L0: motors match their models; identity and state are right."""
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_state,
     expect_unmoved,
-    finish,
-    follow,
-    least_s,
     long_move,
     move,
     position_of,
@@ -17,19 +14,9 @@ from motorhil.harness.conformance.clauses.helpers import (
     torque_of,
 )
 from motorhil.harness.rig.config.conformance import Capability
-from motorhil.motorapi import (
-    ControlVariable,
-    DerivativeLimits,
-    Motor,
-    MotorState,
-    TrapezoidalTrajectory,
-)
+from motorhil.motorapi import Motor, MotorState
 
 _HOLDS = 0.3  # of the largest torque
-_VELOCITY_SHARE = 0.05
-_TORQUE_SHARE = 0.1
-_SAMPLE_S = 0.01
-_SAMPLES = 10
 
 
 @clause(
@@ -155,97 +142,4 @@ def enabled_holds_load_and_disabled_gives_way(bench: RigProtocol) -> None:
     expect(
         moved > 10.0 * bench.facts.window,
         f"disabled, the motor still holds {_HOLDS:.0%} of its torque: the power stage is on",
-    )
-
-
-@clause(
-    "MEAS-01",
-    Level.L0,
-    needs={Capability.POSITION_TRAJECTORY},
-    bench={Ability.TRUTH},
-    source="Motor.velocity: measured velocity [U/s]; paper 3.2",
-)
-def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
-    """Measured velocity is the velocity of the output, in sign and size."""
-    motor, model = bench.motor, bench.motor.model
-    for share in (0.5, -0.25):
-        asked = share * model.velocity_max
-        ramps = 0.5 * asked * abs(asked) * (1 / model.acceleration_max + 1 / model.deceleration)
-        way = 1.5 * asked * _SAMPLES * 0.1 + ramps
-        limits = DerivativeLimits(first=abs(asked))
-        duration_s = least_s(way, abs(asked), model.acceleration_max, model.deceleration)
-        follow(motor, TrapezoidalTrajectory(way, limits=limits))
-        rest_for(bench, abs(asked) / model.acceleration_max + 0.1)
-        begun_ns, before = bench.runtime.now_ns(), bench.true_position(motor)
-        measured = []
-        for _ in range(_SAMPLES):
-            measured.append(motor.velocity())
-            rest_for(bench, _SAMPLE_S)
-        since_s = elapsed_s(bench, begun_ns)
-        true = (bench.true_position(motor) - before) / since_s
-        mean = sum(measured) / len(measured)
-        expect(
-            abs(mean - true) <= _VELOCITY_SHARE * abs(asked),
-            f"velocity: measured {mean:g} {model.unit}/s at {true:g} {model.unit}/s",
-        )
-        finish(bench, motor, duration_s)
-
-
-@clause(
-    "MEAS-02",
-    Level.L0,
-    needs={Capability.MEASURED_TORQUE},
-    bench={Ability.LOAD},
-    source="Motor.torque: measured torque [N·m], or force [N]; paper 3.2",
-)
-def measured_torque_holds_load(bench: RigProtocol) -> None:
-    """Measured torque is the torque that holds the load, in sign and size."""
-    motor = bench.motor
-    motor.enable()
-    most = torque_of(motor, 1.0)
-    measured = []
-    for share in (0.4, -0.3):
-        from_both_sides = []  # friction holds a part of the load, once with and once against it
-        for aside in (0.3, -0.3):
-            bench.load(motor, (share + aside) * most)
-            rest_for(bench, 1.0)
-            bench.load(motor, share * most)
-            rest_for(bench, 1.0)
-            from_both_sides.append(motor.torque())
-        measured.append(sum(from_both_sides) / 2.0)
-    unit = motor.model.unit_of(ControlVariable.TORQUE)
-    found, wanted = measured[0] - measured[1], 0.7 * most
-    expect(
-        abs(found - wanted) <= _TORQUE_SHARE * most,
-        f"torque: loads differ by {wanted:g} {unit}, measured values by {found:g} {unit},"
-        f" {measured[0]:g} and {measured[1]:g} {unit}",
-    )
-
-
-@clause(
-    "MEAS-03",
-    Level.L0,
-    needs={Capability.MEASURED_FOLLOWING_ERROR},
-    bench={Ability.LOAD, Ability.TRUTH},
-    source="Motor.following_error: demand minus actual position [U]",
-)
-def following_error_is_demand_minus_actual(bench: RigProtocol) -> None:
-    """Following error is the distance from demand to actual position, in sign and size."""
-    motor, unit = bench.motor, bench.motor.model.unit
-    motor.enable()
-    rest_for(bench, 0.2)
-    held, held_truly = motor.position(), bench.true_position(motor)
-    bench.load(motor, torque_of(motor, 0.5))
-    off, off_truly, reported = 0.0, 0.0, 0.0
-    for _ in range(60):
-        reported = max(reported, motor.following_error(), key=abs)
-        off = max(off, held - motor.position(), key=abs)  # at the encoder: the gear may yield
-        off_truly = max(off_truly, held_truly - bench.true_position(motor), key=abs)
-        rest_for(bench, 0.002)
-    if abs(off) < 10.0 * (motor.model.resolution or 0.0) or off == 0.0:
-        raise NotApplicable(f"the load moves the motor by {off:.3g} {unit}, too little to measure")
-    expect(
-        0.5 <= reported / off <= 2.0 and off * off_truly > 0.0,
-        f"following error: {reported:.4g} {unit} reported at a distance of {off:.4g} {unit};"
-        f" the true distance is {off_truly:.4g} {unit}",
     )

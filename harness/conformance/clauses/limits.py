@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from functools import partial
+from math import sqrt
+from typing import TYPE_CHECKING
 
 from motorhil.harness.conformance.bench import RigProtocol
-from motorhil.harness.conformance.clause import Level, Violated, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
+    cubic_step,
     expect_at,
     expect_raises,
     expect_unmoved,
@@ -19,6 +22,7 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
+    ComplexTrajectory,
     ControlMode,
     ControlVariable,
     DerivativeLimits,
@@ -29,7 +33,11 @@ from motorhil.motorapi import (
     UsageError,
 )
 
+if TYPE_CHECKING:
+    from motorhil.motorapi.functions import Function
+
 _WATCHED_S = 0.2
+_BLIP_S = 0.002
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
 
@@ -208,7 +216,7 @@ def _usual(bench: RigProtocol, variable: ControlVariable) -> float:
     source="errors: UsageError is the caller's mistake, and nothing was sent",
 )
 def invalid_command_is_expect_refused(bench: RigProtocol) -> None:
-    """Invalid commands raise UsageError; the motor does not move, and is usable afterwards."""
+    """Invalid commands raise UsageError and discard the one before; the motor does not move."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     origin, before = motor.position(), position_of(bench, motor)
     motor.set_control_mode(ControlMode.SETPOINT)
@@ -221,8 +229,69 @@ def invalid_command_is_expect_refused(bench: RigProtocol) -> None:
     ]
     for number, command in enumerate(nonsense):
         expect_raises(UsageError, command, f"invalid command {number + 1} was not refused")
+    for value in (*_NOT_FINITE, 1e300):
+        motor.set_control_mode(ControlMode.SETPOINT)
+        motor.set_setpoint(origin + way)
+        limits = DerivativeLimits(value=(origin - way, origin + way))
+        expect_raises(
+            UsageError,
+            partial(motor.set_setpoint, value, limits=limits),
+            f"a set-point of {value:g} was not refused",
+        )
+        what = f"the set-point before was started after one of {value:g} was refused"
+        expect_raises(UsageError, motor.start, what)
     rest_for(bench, _WATCHED_S)
     expect_unmoved(bench, motor, before, "after invalid commands")
     aim(motor, origin + way)
     finish(bench, motor, shortest_s(motor, way))
     expect_at(bench, motor, origin + way, "after invalid commands")
+
+
+@clause(
+    "LIM-05",
+    Level.L2,
+    needs={Capability.COMPLEX_POSITION},
+    source="paper 3.3.1, complex trajectories and derivative limits: at every argument",
+)
+def complex_trajectory_keeps_limits_everywhere(bench: RigProtocol) -> None:
+    """Complex trajectories that exceed a limit anywhere, however briefly, are refused."""
+    motor, model = bench.motor, bench.motor.model
+    if model.jerk_max is not None:
+        raise NotApplicable("the model limits the jerk: no trajectory exceeds acceleration briefly")
+    gentle = min(model.acceleration_max, model.deceleration)
+    top = model.velocity_max
+    far, near = 3.0 * top**2 / gentle, 0.1 * top**2 / gentle
+    calm_s = sqrt(12.0 * near / gentle)  # half of the acceleration
+    calm = cubic_step(near, calm_s)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    for share in (0.99, 1.01):
+        jerk = DerivativeLimits(third=12.0 * near / calm_s**3 / share)
+        for quantity, function, limits in (
+            ("velocity", cubic_step(far, 1.5 * far / (share * top)), None),
+            ("acceleration", cubic_step(near, sqrt(6.0 * near / (share * gentle))), None),
+            ("acceleration", calm + _blip(motor, calm_s, share), None),
+            ("jerk", calm, jerk),
+        ):
+            what = f"a complex trajectory with, at one instant, {share:.0%} of a limit, {quantity},"
+            trajectory = ComplexTrajectory(function, relative=True, limits=limits)
+            if share < 1.0:
+                motor.set_trajectory(trajectory)
+            else:
+                command = partial(follow, motor, trajectory)
+                _expect_refused(bench, motor, what, command, quantity=quantity)
+
+
+def _blip(motor: Motor, time_s: float, share: float) -> "Function":
+    """Return a function that is 0 but for a hump of 2 ms, with this share of an acceleration.
+
+    The hump h 16 s² (1 - s)² over a time T has 32 h/T² at its ends and half of that, the other way,
+    in between. So its ends have the smaller limit.
+    """
+    from motorhil.motorapi.functions import Piecewise
+
+    model = motor.model
+    up, down = model.acceleration_max, model.deceleration
+    lean = 0.5 * share * (up if up < down else -down)  # 16 h/T²
+    begin_s, end_s = 0.5003 * time_s, 0.5003 * time_s + _BLIP_S
+    hump = (0.0, 0.0, lean, -2.0 * lean / _BLIP_S, lean / _BLIP_S**2)
+    return Piecewise.of_polynomials((0.0, begin_s, end_s, time_s), ((0.0,), hump, (0.0,)))

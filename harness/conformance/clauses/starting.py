@@ -25,20 +25,24 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
+    ControlVariable,
     DeadlineExceeded,
     DerivativeLimits,
     Motor,
     StateError,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 from motorhil.motorapi.outcome import Ending, Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 _EXAMPLES: Final = 6
 _LONG: Final = 4.0
 _TURN_RAD: Final = 6.3
+_GENTLE: Final = 0.25  # of the limits
+_GENTLY_S: Final = 10.0
 
 
 @clause(
@@ -152,6 +156,73 @@ def trajectory_refuses_another_and_continues(bench: RigProtocol) -> None:
     expect_raises(StateError, motor.start, "a second trajectory was started during the first one")
     finish(bench, motor, 1.5 * shortest_s(motor, way))
     expect_at(bench, motor, begin + way, "after the refusal of another trajectory")
+
+
+@clause(
+    "START-06",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="paper 3.5: start sets the parameters to match the user's view; 3.2, model's by default",
+)
+def settings_of_motion_end_with_it(bench: RigProtocol) -> None:
+    """The limits of one motion do not apply to the next one, of the same or of another mode."""
+    bench.motor.enable()
+    kinds: dict[str, Callable[[RigProtocol, float | None], None]] = {
+        "a trajectory": _follow_limited,
+        "a position set-point": _aim_limited,
+        "a velocity trajectory": _speed_up_limited,
+    }
+    usual_s = {name: _time_of(bench, begin, None) for name, begin in kinds.items()}
+    for before, begin_gently in kinds.items():
+        for name, begin in kinds.items():
+            if name == before != "a position set-point":
+                continue  # START-02 compares trajectories
+            _time_of(bench, begin_gently, _GENTLE)
+            known_s, found_s = usual_s[name], _time_of(bench, begin, None)
+            most_s = 1.05 * known_s + bench.facts.time_tolerance_s
+            expect(
+                found_s <= most_s,
+                f"{name} took {found_s:.3f} s after {before} with {_GENTLE:.0%} of the limits;"
+                f" expected at most {most_s:.3f} s, as it took {known_s:.3f} s before",
+            )
+
+
+def _time_of(
+    bench: RigProtocol, begin: "Callable[[RigProtocol, float | None], None]", share: float | None
+) -> float:
+    """Make a motion with this share of the model's limits; return its time [s], else 0."""
+    motor = bench.motor
+    try:
+        begin(bench, share)
+    except UnsupportedError:
+        return 0.0
+    took_s = finish(bench, motor, _GENTLY_S)
+    motor.stop()  # a velocity continues
+    finish(bench, motor, _GENTLY_S)
+    return took_s
+
+
+def _follow_limited(bench: RigProtocol, share: float | None) -> None:
+    model, limits = bench.motor.model, None
+    if share is not None:
+        ramps = -share * model.deceleration, share * model.acceleration_max
+        limits = DerivativeLimits(first=share * model.velocity_max, second=ramps)
+    follow(bench.motor, TrapezoidalTrajectory(0.15 * long_move(bench), limits=limits))
+
+
+def _aim_limited(bench: RigProtocol, share: float | None) -> None:
+    top = bench.motor.model.velocity_max
+    limits = None if share is None else DerivativeLimits(first=share * top)
+    aim(bench.motor, -0.15 * long_move(bench), relative=True, limits=limits)
+
+
+def _speed_up_limited(bench: RigProtocol, share: float | None) -> None:
+    model, limits = bench.motor.model, None
+    if share is not None:
+        ramp = share * min(model.acceleration_max, model.deceleration)
+        limits = DerivativeLimits(first=ramp)
+    trajectory = TrapezoidalTrajectory(0.3 * model.velocity_max, limits=limits)
+    follow(bench.motor, trajectory, ControlVariable.VELOCITY)
 
 
 @clause(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import copysign
 from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -37,11 +38,13 @@ from motorhil.motorapi import (
     MotorState,
     StateError,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 
 _EXAMPLES: Final = 6
 _SHARE: Final = 0.5
 _COAST_S: Final = 30.0
+_AFTER_S: Final = 0.3
 
 
 def _stop_halfway(
@@ -324,3 +327,112 @@ def stop_without_power_is_done_at_rest(bench: RigProtocol) -> None:
         finish(bench, motor, _COAST_S)
         expect_rest(bench, motor, "stop() after disable() was reported done")
         expect_state(motor, MotorState.DISABLED, "after disable() and stop()")
+
+
+@clause(
+    "STOP-10",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="Motor.stop: it may be called from a callback, as may quick_stop and halt",
+)
+def stop_in_callback_works(bench: RigProtocol) -> None:
+    """Stops of every kind work in a callback, too: they end at rest, short of the target."""
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    motor.enable()
+    for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
+        begin = position_of(bench, motor)
+        follow(motor, TrapezoidalTrajectory(way))
+        errors = _in_callback(bench, midway_s(motor, way, 0.3), partial(stop, motor))
+        rest_for(bench, midway_s(motor, way, 0.35))
+        what = f"{stop.__name__}() in a callback"
+        expect(not errors, f"{what} raised {', '.join(errors)}; expected no error")
+        finish(bench, motor, motor.model.velocity_max / motor.model.deceleration)
+        expect_rest(bench, motor, what)
+        made, unit = abs(position_of(bench, motor) - begin), motor.model.unit
+        expect(
+            0.02 * way < made < 0.9 * way,
+            f"{what}: moved {made:g} {unit} of {way:g} {unit}; expected a part of it",
+        )
+        motor.enable()
+        move_exactly(bench, motor, -0.1 * way, f"moved after {what}")
+
+
+def _in_callback(
+    bench: RigProtocol, after_s: float, operation: Callable[[], object]
+) -> Sequence[str]:
+    """Call the operation once in a callback, after this time; return its errors, in words."""
+    errors: list[str] = []
+
+    def call() -> None:
+        timer.cancel()
+        try:
+            operation()
+        except Exception as error:  # the runtime would not say which call failed
+            errors.append(repr(error))
+
+    timer = bench.runtime.every(after_s, call)
+    return errors
+
+
+@clause(
+    "STOP-11",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="Motor.stop: slows down and ends the motion; Motor.start: the commanded motion alone",
+)
+def path_after_stop_forgets_old_target(bench: RigProtocol) -> None:
+    """After a stop, the motor neither turns round nor creeps on; the next start begins there."""
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    motor.enable()
+    for name, begin in (("a trajectory", _follow), ("a replaced set-point", _aim_twice)):
+        for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
+            try:
+                begin(motor, way)
+            except UnsupportedError:
+                continue
+            rest_for(bench, midway_s(motor, way, 0.3))
+            stop(motor)
+            _expect_short_path(bench, motor, way, f"{stop.__name__}() of {name}")
+            way = -way
+
+
+def _expect_short_path(bench: RigProtocol, motor: Motor, way: float, what: str) -> None:
+    """Check the path of a motor that was just stopped, and that of its next move, back."""
+    braking_s = motor.model.velocity_max / motor.model.deceleration
+    samples = sample_positions(bench, motor, braking_s + _AFTER_S)
+    finish(bench, motor)
+    turned = _reach(samples, way) - samples[-1][1] * copysign(1.0, way)
+    window, unit = bench.facts.window, motor.model.unit
+    expect(
+        turned <= window,
+        f"{what}: the motor turned round, by {turned:.5g} {unit}; expected at most {window:g}",
+    )
+    held = bench.true_position(motor)
+    motor.enable()
+    rest_for(bench, _AFTER_S)
+    expect_unmoved(bench, motor, held, f"enabled after {what}")
+    back = -0.1 * way
+    follow(motor, TrapezoidalTrajectory(back))
+    samples = sample_positions(bench, motor, shortest_s(motor, back))
+    finish(bench, motor)
+    forth = _reach(samples, way) - held * copysign(1.0, way)
+    expect(
+        forth <= window,
+        f"moved by {back:g} {unit} after {what}: it first went {forth:.5g} {unit} towards the old"
+        f" target; expected at most {window:g}",
+    )
+
+
+def _reach(samples: Sequence[tuple[float, float]], way: float) -> float:
+    """Return the farthest position in the direction of `way`, counted in that direction [U]."""
+    return max(at * copysign(1.0, way) for _, at in samples)
+
+
+def _follow(motor: Motor, way: float) -> None:
+    follow(motor, TrapezoidalTrajectory(way))
+
+
+def _aim_twice(motor: Motor, way: float) -> None:
+    aim(motor, -0.5 * way, relative=True)
+    aim(motor, way, relative=True)

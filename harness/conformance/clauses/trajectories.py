@@ -5,6 +5,7 @@ from itertools import pairwise
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
     expect_at,
     expect_raises,
     expect_rest,
@@ -37,6 +38,7 @@ from motorhil.motorapi import (
 
 _AFTER_S = 0.2
 _SOON_S = 0.02
+_FEW_S = 0.02  # a few samples
 
 
 def _expect_profile(
@@ -300,3 +302,36 @@ def velocities_at_ends_are_met_or_refused(bench: RigProtocol) -> None:
     finish(bench, motor, shortest_s(motor, way))
     motor.set_trajectory(TrapezoidalTrajectory(way, initial_derivatives=(velocity,)))
     expect_raises(StateError, motor.start, "a motor at rest began with a velocity")
+
+
+@clause(
+    "TRAJ-09",
+    Level.L1,
+    needs={Capability.COMPLEX_VELOCITY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, complex trajectories: the final value; Motor.wait_until_done",
+)
+def last_sample_of_stream_is_executed(bench: RigProtocol) -> None:
+    """Complex velocity trajectories of a few samples end at their final velocity, and keep it."""
+    from motorhil.motorapi.functions import Polynomial
+
+    motor, model = bench.motor, bench.motor.model
+    gentle = min(model.acceleration_max, model.deceleration)
+    motor.enable()
+    for sign in (1.0, -1.0):
+        final = sign * 0.5 * gentle * _FEW_S  # of a parabola, steepest at its end
+        rise = Polynomial((0.0, 0.0, final / _FEW_S**2)).restricted(0.0, _FEW_S)
+        follow(motor, ComplexTrajectory(rise), ControlVariable.VELOCITY)
+        finish(bench, motor, _FEW_S)
+        rest_for(bench, _AFTER_S)
+        begun_ns, before = bench.runtime.now_ns(), bench.true_position(motor)
+        rest_for(bench, 1.0)
+        found = (bench.true_position(motor) - before) / elapsed_s(bench, begun_ns)
+        motor.stop()
+        finish(bench, motor)
+        spare = 0.02 * abs(final) + 2.0 * bench.facts.following
+        expect(
+            abs(found - final) <= spare,
+            f"a trajectory to {final:g} {model.unit}/s in {_FEW_S:g} s continues at {found:.6g}"
+            f" {model.unit}/s; expected within {spare:.3g} {model.unit}/s",
+        )

@@ -9,7 +9,8 @@ Or the outputs still wait for the bus then.
 
 A frame does not show which SYNC its counts belong to. Counts after the next SYNC are attributed to
 that one, until further counts come in the same cycle (`surplus`). On CAN they are one cycle old at
-most, as a node sends them in order.
+most, as a node sends them in order. An adapter or a gateway can delay them further. A velocity is
+computed from them only if none was missed or surplus for a second (`is_regular`).
 """
 
 import struct
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Fence
     from motorhil.motorapi.runtime.api import Registration
 
+_REGULAR_S: Final = 1.0  # longer than a frame is delayed on its way
 _LINGER: Final = 2  # cycles in which 0 is sent, after the last motor was switched off
 _OUTPUTS: Final = (struct.Struct("<IB3xh6x"), struct.Struct("<IB3xhh4x"))
 _COUNTS: Final = (struct.Struct("<8xi4x").unpack, struct.Struct("<8xii").unpack)
@@ -120,6 +122,7 @@ class ChannelPair:
         self._linger = _LINGER
         self._in_a_row = 0
         self._heard_ns = 0
+        self._irregular = -round(_REGULAR_S / cycle.period_s)  # the last such cycle
         self._cycles = self._missed = self._late = self._worst = self._surplus = 0
         self._link.handle(self._count_id, self._on_counts)
 
@@ -143,6 +146,11 @@ class ChannelPair:
         for axis in self._axes:
             if axis is not None:
                 axis.physical.require_not_held_elsewhere()
+
+    @property
+    def is_regular(self) -> bool:
+        """True if each cycle of the last second had its counts, so that none of them was late."""
+        return (self._cycle.count - self._irregular) * self._cycle.period_s >= _REGULAR_S
 
     def is_running(self) -> bool:
         """Return whether the pair takes part in the cycle."""
@@ -194,6 +202,7 @@ class ChannelPair:
         self._heard_ns = time_ns
         if not self._awaited:
             self._surplus += 1
+            self._irregular = self._cycle.count
             for axis, count in zip(axes, counts, strict=False):
                 if axis is not None:
                     axis.look(count)
@@ -219,6 +228,8 @@ class ChannelPair:
 
     def turn(self) -> None:
         """Evaluate the cycle before the SYNC that was just queued."""
+        if self._awaited:
+            self._irregular = self._cycle.count
         first, second = self._axes
         is_active = (first is not None and first.is_active) or (
             second is not None and second.is_active

@@ -7,7 +7,7 @@ counts, and runs the servo with the gains of the logical motor that uses it.
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.motorapi.adaptations.canopen.link import (
     FrameInbox,
@@ -32,7 +32,7 @@ from motorhil.motorapi.adaptations.host_servo.node import (
     IoFacts,
     open_node,
 )
-from motorhil.motorapi.adaptations.host_servo.servo import Servo, ServoLimits
+from motorhil.motorapi.adaptations.host_servo.servo import Servo, ServoLimits, difference
 from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import (
@@ -66,6 +66,18 @@ _RAW_PER_VOLT: Final = 32768 / 10.0  # 6411h: +-10 V, left-adjusted in 16 bits
 _ENABLE_TIMEOUT_S: Final = 0.5
 _STEPS_BEFORE_POWER: Final = 3  # so that an output of 0 has been latched
 _OFF_TIMEOUT_S: Final = 0.1
+_VELOCITY_CYCLES: Final = 5
+_VELOCITY_TIMEOUT_S: Final = 0.5
+_UNSURE_MAX: Final = 0.25
+"""The largest uncertainty of the time between two polled counts, relative to it."""
+
+
+class PolledCount(NamedTuple):
+    """A count that the node had at a time between the request and its answer [ns]."""
+
+    value: int
+    since_ns: int
+    until_ns: int
 
 
 @final
@@ -219,9 +231,15 @@ class AmplifierHwMotor:
             axis.servo.restart(count)
 
     def _read_count(self) -> int:
+        count = self._poll()
+        self.axis.counted_ns = count.until_ns
+        return count.value
+
+    def _poll(self) -> PolledCount:
+        begun_ns = self.runtime.now_ns()
         data = self.node.sdo.upload(self.options.counter, self.channel)
-        self.axis.counted_ns = self.runtime.now_ns()
-        return int.from_bytes(data[:4], "little", signed=True)
+        value = int.from_bytes(data[:4], "little", signed=True)
+        return PolledCount(value, begun_ns, self.runtime.now_ns())
 
     # --- objects and frames ----------------------------------------------------------------
 
@@ -309,6 +327,34 @@ class AmplifierHwMotor:
         """Read the position if no cycle brings it."""
         if self._pair is not None and not self._pair.is_running():
             self.axis.servo.look(self._read_count())
+
+    @property
+    def is_regular(self) -> bool:
+        """True if the servo's velocity is that of the motor: its counts come in time."""
+        return self._pair is not None and self._pair.is_regular
+
+    def measure_velocity(self) -> float:
+        """Return the mean velocity between two polled counts, at least 5 cycles apart [inc/s].
+
+        Raises:
+            DeadlineExceeded: their times are too uncertain for a velocity.
+        """
+        end_ns = self.runtime.now_ns() + round(_VELOCITY_TIMEOUT_S * 1e9)
+        first = self._poll()
+        while True:
+            self.link.wait_until(lambda: False, _VELOCITY_CYCLES * self.options.cycle_ms / 1e3)
+            last = self._poll()
+            least_ns, most_ns = last.since_ns - first.until_ns, last.until_ns - first.since_ns
+            if most_ns - least_ns <= _UNSURE_MAX * least_ns:
+                return difference(last.value, first.value) * 2e9 / (least_ns + most_ns)
+            if last.until_ns > end_ns:
+                raise DeadlineExceeded(
+                    awaited=f"{self.label}: counts at times that are known",
+                    timeout_s=_VELOCITY_TIMEOUT_S,
+                    last_heard=f"the last one took {(last.until_ns - last.since_ns) / 1e6:.0f} ms",
+                )
+            if last.until_ns - last.since_ns < first.until_ns - first.since_ns:
+                first = last
 
     def report(self) -> CycleReport:
         """Return the timing statistics of the servo."""

@@ -252,10 +252,11 @@ class SoftwareMotor(Motor):
         return self._hardware.servo.position / self._scale
 
     def _read_velocity(self) -> float:
-        self._hardware.node.check_heard()
-        if self._hardware.servo.course is None:
-            return self._measure_velocity()
-        return self._hardware.servo.velocity / self._scale
+        hardware = self._hardware
+        hardware.node.check_heard()
+        if hardware.servo.course is not None and hardware.is_regular:
+            return hardware.servo.velocity / self._scale
+        return hardware.measure_velocity() / self._scale
 
     def _read_reference(self) -> float:
         hardware = self._hardware
@@ -284,23 +285,13 @@ class SoftwareMotor(Motor):
             counted_ns,
             hardware.state(),
             servo.position / scale,
-            servo.velocity / scale,
+            servo.velocity / scale if servo.course is not None and hardware.is_regular else None,
             None,
             (servo.demand - servo.position) / scale,
         )
 
     def _position_source(self) -> str:
         return "counts that came with SYNC"
-
-    def _measure_velocity(self) -> float:
-        """Return the velocity from two polled counts, as no cycle brings counts."""
-        hardware = self._hardware
-        hardware.refresh()
-        first, first_ns = hardware.servo.position, hardware.axis.counted_ns
-        hardware.refresh()
-        passed_ns = hardware.axis.counted_ns - first_ns
-        moved = hardware.servo.position - first
-        return 0.0 if passed_ns <= 0 else moved / passed_ns * 1e9 / self._scale
 
     # --- power, fault, reference -----------------------------------------------------------
 

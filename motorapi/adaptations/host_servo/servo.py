@@ -39,6 +39,11 @@ _HALF: Final = 0x8000_0000
 _MASK: Final = 0xFFFF_FFFF
 
 
+def difference(count: int, before: int) -> int:
+    """Return the distance between two counts of a 32-bit counter [inc]."""
+    return ((count - before + _HALF) & _MASK) - _HALF
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoLimits:
@@ -222,7 +227,7 @@ class Servo:
         """Process the count of this cycle; return the cycles since the last one (0: the first)."""
         before = self._cycle
         self._cycle = cycle
-        change = ((count - self._count + _HALF) & _MASK) - _HALF
+        change = difference(count, self._count)
         self._count = count
         self._travel += change
         self.position = float(self._travel + self._offset)

@@ -12,7 +12,9 @@ completely (it is dropped), or a time limit has passed. Posted requests do not w
 do not end it: the late answer may still follow the answer to the posted request.
 
 On TCP the transaction identifier distinguishes answers, and the bytes are a stream of ADUs, each
-read from its header. So half of a late answer does no harm.
+read from its header. So half of a late answer does no harm. A connection that has ended, fails to
+send, ends within an ADU or leaves two requests in a row without an answer is made anew before the
+next request. No request is sent again on it.
 
 A line may never be silent, or another process may hold it. The wait for such a line is limited: a
 caller gets an error, and a posted request is sent anyway.
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Owned
 
 _HEAD: Final = 7  # of MBAP, with the unit
+_SILENT_MAX: Final = 2  # requests in a row, until a TCP connection counts as broken
 _LENGTHS: Final = range(2, 255)  # in MBAP: of the unit and a PDU
 _HEARD_MAX: Final = 512  # bytes; more than any answer
 _LOCKED_NS: Final = 1_000_000
@@ -166,6 +169,11 @@ class FrameReader:
         self.framer: Final = FramerRTU(DecodePDU(False))
         self.heard = b""
 
+    @property
+    def is_inside(self) -> bool:
+        """False: silence ends a frame."""
+        return False
+
     def begin(self) -> None:
         """Forget received bytes, as a request is sent."""
         self.heard = b""
@@ -191,6 +199,11 @@ class StreamReader:
         self.framer: Final = FramerSocket(DecodePDU(False))
         self.heard = b""
         self._buffer = b""
+
+    @property
+    def is_inside(self) -> bool:
+        """True if the end of an ADU is still to come."""
+        return bool(self._buffer)
 
     def begin(self) -> None:
         """Forget received bytes, as a request is sent."""
@@ -232,7 +245,11 @@ def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -
 
 
 class ByteLine(Protocol):
-    """A serial line or a TCP connection, as bytes."""
+    """A serial line or a TCP connection, as bytes.
+
+    A TCP connection may have a method `reconnect`, which replaces it by a new one within a second.
+    It raises LinkError if there is no new one, or if the application has closed the connection.
+    """
 
     @property
     def name(self) -> str:
@@ -266,6 +283,7 @@ class ModbusLine:
 
     Attributes:
         strays: the number of answers that matched no request.
+        reconnections: the number of connections made in place of broken ones.
         users: the number of hardware objects that use the line.
     """
 
@@ -274,11 +292,15 @@ class ModbusLine:
         self.runtime: Final = runtime
         self.name: Final = line.name
         self.strays = 0
+        self.reconnections = 0
         self.users = 0
         self._lock = lock
         self._hold: LockHandle | None = None
         self._is_tcp: Final = line.framing == "tcp"
-        self._reader: Final = StreamReader() if self._is_tcp else FrameReader()
+        self._reader = self._new_reader()
+        self._reconnect: Final = getattr(line, "reconnect", None)
+        self._is_broken = False
+        self._silent = 0  # requests in a row without any answer, on TCP
         self._queue: deque[Exchange] = deque()
         self._active: Exchange | None = None
         self._transaction = 0
@@ -290,6 +312,9 @@ class ModbusLine:
         self._registration = line.listen(self._hear)
         if lock is not None:
             self._set_reading(False)
+
+    def _new_reader(self) -> StreamReader | FrameReader:
+        return StreamReader() if self._is_tcp else FrameReader()
 
     # ---- requests ----
 
@@ -354,6 +379,12 @@ class ModbusLine:
         """Send the next request, as soon as permitted."""
         if self._active is not None or not self._queue:
             return
+        if self._is_broken and self._reconnect is not None:
+            try:
+                self._connect_anew(self._reconnect)
+            except LinkError as error:
+                self._fail_all(error)
+                return
         if self.line.is_closed:
             self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
@@ -372,6 +403,7 @@ class ModbusLine:
         try:
             self._send(exchange, adu)
         except MotorError as error:
+            self._is_broken = self._is_tcp and isinstance(error, LinkError)
             self._end(exchange, None, error)
             return
         except Exception as error:  # any other failure of the line also ends the exchange
@@ -379,6 +411,15 @@ class ModbusLine:
             return
         on_line_s = self.line.duration_ns(len(adu)) / 1e9
         self._set_timer(on_line_s + exchange.timeout_s, self._too_late)
+
+    def _connect_anew(self, reconnect: Callable[[], None]) -> None:
+        """Replace the broken connection; raises LinkError."""
+        reconnect()
+        self._registration.cancel()
+        self._registration = self.line.listen(self._hear)
+        self._reader = self._new_reader()
+        self._is_broken, self._silent = False, 0
+        self.reconnections += 1
 
     def _send(self, exchange: Exchange, adu: bytes) -> None:
         if exchange.owned is None:
@@ -469,6 +510,7 @@ class ModbusLine:
 
     def _hear(self, data: bytes, time_ns: int) -> None:
         if not data:
+            self._is_broken = True
             self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
         self._silent_ns = time_ns + self.line.silence_ns
@@ -480,6 +522,7 @@ class ModbusLine:
             if answer is not None:  # the late answer: nothing else can come
                 self._leave_quarantine()
         elif answer is not None and answers(answer, exchange.request):
+            self._silent = 0
             self._end(exchange, answer, None)
         elif owed is not None and self._reader.feed(b"", owed) is not None:
             self.strays += 1  # the late answer, before that to the posted request
@@ -502,7 +545,10 @@ class ModbusLine:
                 timeout_s=exchange.timeout_s,
                 last_heard="nothing",
             )
-        if not self._is_tcp:
+        if self._is_tcp:
+            self._silent += 1
+            self._is_broken = self._silent >= _SILENT_MAX or self._reader.is_inside
+        else:
             self._owed.append(exchange)
             self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS
         self._end(exchange, None, error)

@@ -13,6 +13,7 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import Poll, PolledHar
 from motorhil.motorapi.adaptations.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
+    DeadlineExceeded,
     DeviceFault,
     LinkError,
     MotionInterrupted,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 POLL_S: Final = 0.01
+_POLLS_MAX: Final = 2
+_TIMEOUTS: Final = 4  # of a request: a poll with repeated ones that takes longer is too old
 _BEGIN_NS: Final = 100_000_000  # for which a drive may show an old status
 _RESTS: Final = 2  # the values of one poll are not simultaneous
 _NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
@@ -120,7 +123,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
     def _poll(self) -> Poll:
         """Read the present status, for all logical motors on the drive."""
-        poll = self.hardware.poll(self.model)
+        poll = self._read_together()
         state = self.hardware.progress
         state.poll = state.last = poll
         rests = poll.has_arrived or poll.state is MotorState.DISABLED
@@ -132,6 +135,22 @@ class PolledMotor(Motor, Generic[HardwareT]):
         if news is not None:
             news.grow()
         return poll
+
+    def _read_together(self) -> Poll:
+        """Return values that are of one time; repeat a poll in which requests were repeated."""
+        registers = self.hardware.registers
+        longest_s = _TIMEOUTS * registers.timeout_s
+        for _ in range(_POLLS_MAX):
+            begun_ns, before = self.runtime.now_ns(), registers.repeats
+            poll = self.hardware.poll(self.model)
+            took_s = (self.runtime.now_ns() - begun_ns) / 1e9
+            if took_s <= longest_s or registers.repeats == before:
+                return poll
+        raise DeadlineExceeded(
+            awaited=f"{self.name}: a poll of its status, with few lost requests",
+            timeout_s=longest_s,
+            last_heard=f"the last answer, {took_s:.2f} s after the poll began",
+        )
 
     def _read_state(self) -> MotorState:
         try:

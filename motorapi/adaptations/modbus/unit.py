@@ -94,6 +94,7 @@ class ModbusUnit:
         self.line: Final = _open(line, runtime)
         self.is_closed = False
         self.silences = 0  # requests without answer; each may mean a loss of power
+        self.repeats = 0  # reads that were repeated
         self._answers = False  # False: reads are not repeated until the drive answers
 
     def close(self) -> None:
@@ -113,7 +114,7 @@ class ModbusUnit:
 
         Values read from the drive, or written to it, are valid only that long.
         """
-        return self.physical.token, self.silences
+        return self.physical.token, self.silences + self.line.reconnections
 
     def _ask(self, request: "ModbusPDU", owned: "Owned | None" = None) -> "ModbusPDU":
         try:
@@ -144,6 +145,7 @@ class ModbusUnit:
                     self._answers = False
                     self.silences += is_silence(error)
                     raise
+                self.repeats += 1
 
     def _read_once(self, address: int, count: int) -> list[int]:
         self._require_open()

@@ -5,6 +5,7 @@ from math import ceil, inf, remainder, tau
 
 from motorhil.motorapi.adaptations.cia402 import controlword as drive_control
 from motorhil.motorapi.adaptations.cia402 import motion as drive_motions
+from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
@@ -401,4 +402,41 @@ def replaced_set_points_are_lost():
         return triggered
 
     with replaced(LeadshineHwMotor, "trigger", deaf):
+        yield
+
+
+@mutant("cia402", "TRAJ-09")
+def the_last_set_point_is_left_out():
+    """A stream ends one set-point early, and continues at the velocity of the one before."""
+
+    def wrong(travelled):
+        def made(self, at):
+            end = self._demand.final_argument
+            if at < end - 0.5 * self._period_s:
+                self._early = at
+                return travelled(self, at)
+            self.over = True
+            position = travelled(self, self._early)
+            return position + (at - self._early) * self.velocity
+
+        return made
+
+    with replaced(StreamedMotion, "_travelled", wrong):
+        yield
+
+
+@mutant("cia402", "START-06")
+def ramps_are_written_for_trajectories_only():
+    """A set-point has no ramps of its own, so those of the last trajectory remain."""
+    ramps = {}
+
+    def wrong(motor, motion):
+        if is_trajectory(motion, POSITION):
+            ramps[motor] = motion.acceleration, motion.deceleration
+        elif is_setpoint(motion, POSITION) and motor in ramps:
+            up, down = ramps[motor]
+            return replace(motion, acceleration=up, deceleration=down)
+        return motion
+
+    with motions_changed(Cia402Motor, wrong):
         yield

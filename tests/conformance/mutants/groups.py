@@ -1,10 +1,11 @@
 """Mistakes with synchronised motors."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 from motorhil.motorapi import MotorGroup, Synchronization, execution, group
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
-from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.errors import MotorError, UsageError
 from motorhil.motorapi.group import CommonMotion
 from tests.conformance.mutants import mutant, replaced
 from tests.support.sharing.mutants import a_group_that_starts_before_all_are_armed
@@ -130,4 +131,85 @@ def a_fault_of_one_is_swallowed():
         return waited
 
     with replaced(MotorGroup, "wait_until_done", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-02")
+def times_of_the_drives_own_clock():
+    """Start and end times are those of the drive's clock, which began at its boot-up."""
+
+    def wrong(times):
+        def told(motor):
+            found = times(motor)
+            if found is None or found.ended_ns is None:
+                return found
+            return replace(
+                found,
+                started_ns=found.started_ns - 200_000_000,
+                ended_ns=found.ended_ns - 200_000_000,
+            )
+
+        return told
+
+    with replaced(Cia402Motor, "_motion_times", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-10")
+def all_have_ended_when_the_last_has():
+    """The end of a motion is the time at which it is asked for."""
+
+    def wrong(times):
+        def told(motor):
+            found = times(motor)
+            if found is None or found.ended_ns is None:
+                return found
+            return replace(found, ended_ns=motor.runtime.now_ns())
+
+        return told
+
+    with replaced(Cia402Motor, "_motion_times", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-11")
+def each_by_a_frame_of_its_own():
+    """One signal is claimed, but each member is started, and acknowledged, before the next."""
+
+    class Acknowledged:
+        def __init__(self, motor, trigger):
+            self.motor, self.trigger = motor, trigger
+
+        def fire(self):
+            self.trigger.fire()
+            self.motor.runtime.wait_until(lambda: False, 0.002)
+
+    def wrong(arm):
+        def armed(motor, motion, *, together):
+            trigger = arm(motor, motion, together=False)
+            return Acknowledged(motor, trigger) if together else trigger
+
+        return armed
+
+    with replaced(Cia402Motor, "_arm", wrong):
+        yield
+
+
+@mutant("leadshine", "SYNC-12")
+def who_can_start_starts():
+    """If one member is refused, the others are started; the error names the one."""
+
+    def wrong(start):
+        def started(motors, timeout_s=None, *args, **options):
+            try:
+                return start(motors, timeout_s, *args, **options)
+            except UsageError:
+                for motor in motors if len(motors) > 1 else ():
+                    with suppress(MotorError):
+                        start((motor,), timeout_s)
+                raise
+
+        return started
+
+    with replaced(group, "start_together", wrong):
         yield

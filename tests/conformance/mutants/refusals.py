@@ -3,8 +3,10 @@
 from dataclasses import replace
 from math import isnan
 
+from motorhil.motorapi import Motor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
+from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import mutant, replaced
@@ -62,4 +64,40 @@ def says_that_it_can_and_cannot():
 def endless_set_points():
     """NaN is refused, but infinity is not."""
     with replaced(planning, "isfinite", lambda isfinite: lambda value: not isnan(value)):
+        yield
+
+
+@mutant("cia402", "LIM-05")
+def limits_are_checked_at_fifty_places():
+    """Complex trajectories are compared with the limits at 50 arguments, not at their extrema."""
+    from motorhil.motorapi.functions import Extrema, Piecewise, Polynomial
+
+    def wrong(extrema):
+        def found(self, low, high):
+            places = [low + (high - low) * (number + 0.5) / 50 for number in range(50)]
+            values = [(self.value(place), place) for place in places]
+            return Extrema(*min(values), *max(values))
+
+        return found
+
+    with replaced(Polynomial, "_extrema", wrong), replaced(Piecewise, "_extrema", wrong):
+        yield
+
+
+@mutant("oriental_az", "LIM-04")
+def the_command_before_stays():
+    """A refused set-point leaves the one before, which the next start makes."""
+
+    def wrong(set_setpoint):
+        def told(motor, value, relative=False, limits=None):
+            before = motor.logical.command
+            try:
+                set_setpoint(motor, value, relative, limits)
+            except UsageError:
+                motor.logical.command = before
+                raise
+
+        return told
+
+    with replaced(Motor, "set_setpoint", wrong):
         yield

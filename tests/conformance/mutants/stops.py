@@ -3,9 +3,11 @@
 from contextlib import contextmanager
 from dataclasses import replace
 
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.ideal.profiles import Held
+from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.logical_motor import LogicalMotor
@@ -161,4 +163,61 @@ def enabling_resumes():
 def a_stop_does_nothing():
     """A stop is reported as done, but the motion continues."""
     with replaced(IdealMotor, "_stop", lambda stop: lambda self: None):
+        yield
+
+
+@mutant("leadshine", "STOP-10")
+def a_stop_asks_first():
+    """A stop reads the status of the drive first, and so cannot be called from a callback."""
+
+    def wrong(post):
+        def stopped(self, quick):
+            self.poll_before_stop = self.registers.read(leadshine_hardware._STATUS)
+            return post(self, quick)
+
+        return stopped
+
+    with replaced(LeadshineHwMotor, "post_stop", wrong):
+        yield
+
+
+@mutant("cia402", "STOP-11")
+def the_halt_is_lifted_before_the_new_target():
+    """A start lifts the halt before it sends its target, so the old one counts for a moment."""
+
+    def wrong(arm):
+        def armed(motor, motion, *, together):
+            hardware = motor.hardware
+            can_id = hardware.facts.control_id
+            frame = can_id.to_bytes(4, "little") + bytes((2, 0, 0, 0, 0x0F, 0)) + bytes(6)
+            hardware.link.send_tracked(frame, None)
+            motor.runtime.wait_until(lambda: False, 0.05)
+            return arm(motor, motion, together=together)
+
+        return armed
+
+    with replaced(Cia402Motor, "_arm", wrong):
+        yield
+
+
+@mutant("ideal", "STOP-11")
+def back_to_where_it_was_stopped():
+    """A stop aims at the position at the time of the stop, so the motor overshoots and returns."""
+
+    def wrong(self):
+        hardware = self.hardware
+        place = hardware.reading().position
+        plain_stop(self)
+        course = hardware._course
+
+        def look():
+            if hardware._course is not course:
+                timer.cancel()
+            elif hardware.is_over:
+                timer.cancel()
+                hardware._take(Held(self.runtime.now_ns(), place), None, quietly=True)
+
+        timer = hardware.runtime.every(0.01, look)
+
+    with only("_stop", wrong):
         yield

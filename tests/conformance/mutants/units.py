@@ -160,3 +160,59 @@ def following_error_turned_round():
     """The following error is actual minus demand."""
     with replaced(DriveReader, "following_error", lambda error: lambda self: -error(self)):
         yield
+
+
+@mutant("cia402", "MEAS-01")
+def a_velocity_of_0_is_taken_for_no_answer():
+    """A velocity of 0 is taken for a value not yet received, and the one before is reported."""
+    before = {}
+
+    def wrong(velocity):
+        def told(self):
+            before[self] = velocity(self) or before.get(self, 0.0)
+            return before[self]
+
+        return told
+
+    with replaced(DriveReader, "velocity", wrong):
+        yield
+
+
+@mutant("cia402", "MEAS-03")
+def following_error_without_its_sign():
+    """The following error is reported without its sign."""
+    with replaced(DriveReader, "following_error", lambda error: lambda self: abs(error(self))):
+        yield
+
+
+@mutant("leadshine", "MEAS-04")
+def positions_are_read_ten_times_a_second():
+    """A position is asked for at most every 0.1 s, and repeated in between."""
+    known = {}
+
+    def wrong(read):
+        def told(self):
+            now_ns = self.runtime.now_ns()
+            if self not in known or now_ns - known[self][0] > 100_000_000:
+                known[self] = now_ns, read(self)
+            return known[self][1]
+
+        return told
+
+    with replaced(PolledMotor, "_read_position", wrong):
+        yield
+
+
+@mutant("cia402", "MEAS-05")
+def a_motor_is_where_it_was_sent():
+    """A motor whose power is off is reported, and planned from, where it last was sent."""
+
+    def wrong(position):
+        def told(self):
+            off = self.state() is MotorState.DISABLED and self.held[0] is not None
+            return self.held[1] if off else position(self)
+
+        return told
+
+    with replaced(DriveReader, "position", wrong):
+        yield

@@ -81,7 +81,8 @@ def test_threads_on_a_shared_line_exchange_in_turn(tmp_path):
 
 
 @pytest.mark.parametrize("end", ["ours", "theirs"])
-def test_ended_connection_fails_its_requests_only(end):
+def test_ended_connection_fails_its_request(end):
+    """Another request gets a new connection, unless the application has closed its own."""
     runtime = WallRuntime()
     with socket.create_server(("127.0.0.1", 0)) as server:
         connection = TcpLine("127.0.0.1", server.getsockname()[1], runtime=runtime)
@@ -95,9 +96,34 @@ def test_ended_connection_fails_its_requests_only(end):
         assert asked.join(LONG_S / 2)  # would raise an error of another request
         assert isinstance(asked.error, LinkError)
         assert runtime.wait_until(lambda: False, 0.2) is False
-        with pytest.raises(LinkError, match="has ended"):
-            UnitClient(line, 1, 5.0).read_holding_registers(0, count=1)
+        client = UnitClient(line, 1, LONG_S / 2)
+        if end == "ours":
+            with pytest.raises(LinkError, match="is closed"):
+                client.read_holding_registers(7, count=1)
+        else:
+            threading.Thread(target=serve, args=(server,), daemon=True).start()
+            assert client.read_holding_registers(7, count=1).registers == [7]
         line.close()
         connection.close()
         other.close()
         runtime.close()
+
+
+def test_refused_connection_is_tried_again_each_second():
+    runtime = WallRuntime()
+    server = socket.create_server(("127.0.0.1", 0))
+    connection = TcpLine("127.0.0.1", server.getsockname()[1], runtime=runtime)
+    line = ModbusLine(connection, runtime, None)
+    client = UnitClient(line, 1, LONG_S / 2)
+    server.accept()[0].close()
+    server.close()
+    assert runtime.wait_until(lambda: connection.is_closed, LONG_S)
+    reasons = []
+    while not reasons or "last attempt" not in reasons[-1]:
+        with pytest.raises(LinkError) as caught:
+            client.read_holding_registers(7, count=1)
+        reasons.append(str(caught.value))
+    assert any("no connection (" in reason for reason in reasons)
+    line.close()
+    connection.close()
+    runtime.close()

@@ -9,8 +9,9 @@ from motorhil.harness.recording.conversion import convert
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import open_content
 from motorhil.traces.formats.frames import Findings
-from motorhil.traces.formats.registry import WRITABLE, open_source, record_frames
+from motorhil.traces.formats.registry import open_source, record_frames
 from motorhil.traces.mcap.reader import read_trace
+from tests.support.recordings.formats import WRITTEN
 from tests.unit.traces.formats.test_formats import BASE
 
 ROW = b"(1.000000) can0 123#0102\n"
@@ -26,10 +27,10 @@ def read(path):
     return list(open_source(path).frames(findings)), findings
 
 
-@pytest.mark.parametrize("name", [known.name for known in WRITABLE])
-def test_compressed_file_has_the_same_frames(name):
+@pytest.mark.parametrize("form", WRITTEN)
+def test_compressed_file_has_the_same_frames(form):
     record_frames("frames.mcap", BASE, {})
-    convert("frames.mcap", "plain", name)
+    convert("frames.mcap", "plain", form.name)
     with open("plain", "rb") as file, open("packed", "wb") as target:
         target.write(gzip.compress(file.read()))
     assert read("packed")[0] == read("plain")[0] != []

@@ -264,7 +264,7 @@ def test_tokens_grow_through_such_a_takeover_in_a_new_file(locks, runtime, monke
     in_the_middle(
         monkeypatch,
         LockFile,
-        "tell_holder",
+        "try_write",
         lambda: taken.append(b.acquire(runtime, "b", take_over=True)),
     )
     with pytest.raises(MotorBusyError, match="for b since"):

@@ -52,6 +52,53 @@ def test_late_counts_are_misses_and_motion_continues(open_rig: OpenRig, count: i
     assert left.position() == pytest.approx(2.0, abs=10 / INC_PER_RAD)
 
 
+def test_velocity_with_late_counts_is_true(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = moving(rig)
+    truth: list[float] = []
+    rig.runtime.every(
+        0.001, lambda: truth.append(rig.controllers["io"].snapshot()["velocity_rad_s"])
+    )
+    late = rule(FaultKind.DELAY, COUNTS, delay_ns=20_300_000, probability=0.3)
+    rig.faults.inject("can0", late)
+    for _ in range(40):
+        rig.runtime.run_for(0.003)
+        recent = truth[-50:]
+        velocity = left.velocity()
+        assert min(*recent, *truth[-50:]) - 0.2 <= velocity <= max(*recent, *truth[-50:]) + 0.2
+    latest = left.latest()
+    assert latest is not None
+    assert latest.velocity is None
+    rig.faults.lift("can0", "delay")
+    left.wait_until_done(3)
+    rig.runtime.run_for(1.0)
+    latest = left.latest()
+    assert latest is not None
+    assert latest.velocity == pytest.approx(0.0, abs=0.01)
+
+
+def test_velocity_with_late_answers_raises_a_deadline_error(open_rig: OpenRig):
+    rig = open_rig(one())
+    left = moving(rig)
+    left.disable()
+    rig.faults.inject("can0", rule(FaultKind.DELAY, 0x581, delay_ns=150_000_000))
+    with pytest.raises(DeadlineExceeded, match="the last one took 151 ms"):
+        left.velocity()
+
+
+def test_velocity_of_a_coasting_motor_beside_a_servo(open_rig: OpenRig):
+    """Its counts come with those of the servo, but it has no part in the cycle."""
+    rig = open_rig(two())
+    right = moving(rig, "right")
+    moving(rig, "left")
+    right.disable()
+    velocity = right.velocity()
+    assert velocity == pytest.approx(
+        rig.controllers["io"].snapshot()["channel_2_velocity_rad_s"], rel=0.3
+    )
+    assert velocity > 0.2
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_lost_counts_are_counted_singly_and_in_a_row(open_rig: OpenRig, count: int):
     rig = open_rig(one())

@@ -61,6 +61,19 @@ class Line:
         self._runtime.every(period_s, lambda: self.hear(data))
 
 
+class Connection(Line):
+    """A connection that answers from its second one on."""
+
+    is_refused = False
+    connections = 1
+
+    def reconnect(self):
+        if self.is_refused:
+            raise LinkError(link=self.name, reason="no connection")
+        self.connections += 1
+        self.is_closed = False
+
+
 def never(line, number):
     """Answer no request."""
 
@@ -247,3 +260,68 @@ def test_unexpected_line_failure_raises_link_error(runtime):
     for _ in range(2):
         with pytest.raises(LinkError, match="cannot send: unplugged"):
             read(modbus)
+
+
+def cut(line):
+    line.is_closed = True
+    line.hear(b"")
+
+
+def unplug(line):
+    raise LinkError(link="line", reason="cannot send")
+
+
+@pytest.mark.parametrize(
+    ("trouble", "errors"),
+    [
+        (cut, [LinkError]),
+        (unplug, [LinkError]),
+        (lambda line: line.hear(tcp(1, b"\x03\x02\x00\x07")[:5]), [ModbusProtocolViolation]),
+        (lambda line: line.hear(tcp(1, b"\x03\x02\x00\x07")[:9]), [ModbusProtocolViolation]),
+        (lambda line: None, [DeadlineExceeded, DeadlineExceeded]),
+    ],
+    ids=["ended", "cannot send", "half a header", "half an answer", "silent"],
+)
+def test_broken_tcp_connection_is_replaced(runtime, trouble, errors):
+    def answer(line, number):
+        if line.connections == 1:
+            trouble(line)
+        else:
+            line.hear(tcp(number, b"\x03\x02\x00\x07"))
+
+    connection = Connection(runtime, "tcp", answer)
+    line = ModbusLine(connection, runtime, None)
+    for error in errors:
+        with pytest.raises(error):
+            read(line)
+    assert connection.connections == 1
+    assert [read(line), read(line)] == [[7], [7]]
+    assert (connection.connections, line.reconnections) == (2, 1)
+    assert len(connection.sent) == len(errors) + 2  # no request twice
+
+
+def test_refused_connection_raises_link_error_and_sends_nothing(runtime):
+    connection = Connection(runtime, "tcp", lambda line, number: cut(line))
+    line = ModbusLine(connection, runtime, None)
+    with pytest.raises(LinkError, match="has ended"):
+        read(line)
+    connection.is_refused = True
+    with pytest.raises(LinkError, match="no connection"):
+        read(line)
+    assert len(connection.sent) == 1
+    connection.is_refused = False
+    with pytest.raises(LinkError, match="has ended"):
+        read(line)
+    assert (len(connection.sent), connection.connections) == (2, 2)
+
+
+def test_answer_in_pieces_does_not_break_a_connection(runtime):
+    def answer(line, number):
+        adu = tcp(number, b"\x03\x02\x00\x07")
+        line.hear(adu[:5])
+        line.hear_after(NEXT_S, adu[5:])
+
+    connection = Connection(runtime, "tcp", answer)
+    line = ModbusLine(connection, runtime, None)
+    assert [read(line), read(line)] == [[7], [7]]
+    assert connection.connections == 1

@@ -469,6 +469,44 @@ def test_late_answer_never_answers_the_next_request():
         assert unit.line.strays == 1
 
 
+def test_position_is_young_after_two_losses_in_one_poll(rig):
+    mast = rig.motors["mast"]
+    mast.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    mast.set_setpoint(0.5)
+    mast.start()
+    run_s(rig, 0.5)
+    for answer in (1, 2):  # the answer to the repeated request is between them
+        name = f"lost {answer}"
+        rule = SerialFaultRule(
+            name, SerialFaultKind.LOSE, sender="mast", function=3, skip=answer, limit=1
+        )
+        rig.faults.inject("line", rule)
+    position = mast.position()
+    assert mast.hardware.registers.repeats >= 2
+    age_s = 0.8  # one time-out, with the wait for a late answer, and the other exchanges
+    assert 0.0 <= truth(rig)["position_rad"] - position <= 0.5 * age_s
+
+
+def test_position_that_cannot_be_young_is_refused(adaptation):
+    with opened(text(adaptation, "rtu")) as rig:  # on TCP no late answer is waited for
+        refuse_an_old_position(rig)
+
+
+def refuse_an_old_position(rig):
+    mast = rig.motors["mast"]
+    mast.enable()
+    for turn in range(2):
+        for answer in (1, 2):
+            rule = SerialFaultRule(
+                *(f"lost {turn} {answer}", SerialFaultKind.LOSE, "mast", None, 3),
+                **{"skip": answer + 4 * turn, "limit": 1},
+            )
+            rig.faults.inject("line", rule)
+    with pytest.raises(DeadlineExceeded, match=r"few lost requests: .* within 0\.8 s"):
+        mast.position()
+    assert mast.position() == pytest.approx(0.0, abs=RESOLUTION)
+
+
 def test_refusal_by_the_drive_names_its_address():
     with opened() as rig:
         mast = rig.motors["mast"]

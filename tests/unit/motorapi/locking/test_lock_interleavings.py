@@ -1,0 +1,168 @@
+"""Two programs at one lock, paused before any system call on its file while the other one runs."""
+
+import fcntl
+import os
+import threading
+from itertools import count
+
+import pytest
+
+from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
+
+PATIENCE_S = 60.0
+CALLS = ((fcntl, "fcntl"), (os, "pread"), (os, "pwrite"))
+TOKEN_OF_A_NEW_FILE_MIN = 10**15  # microseconds of the calendar: greater than in any removed file
+
+
+class Killed(BaseException):
+    """The end of a program in the middle of a step."""
+
+
+class Turns:
+    """A runtime without time: a wait looks twice, and other programs run meanwhile."""
+
+    def now_ns(self):
+        return 0
+
+    def wait_until(self, done, timeout_s=None):
+        return done() or done()
+
+
+class Program(threading.Thread):
+    """A program that stops before each system call until `advance` permits it."""
+
+    def __init__(self, path, **how):
+        super().__init__(daemon=True)
+        self.lock = ProcessLock("pan", "the pan", LockDirectory(path))
+        self.how, self.hold = how, None
+        self.is_over, self.is_killed, self.left = False, False, 0
+        self.may_run, self.has_stopped = threading.Semaphore(0), threading.Semaphore(0)
+        self.start()
+
+    def run(self):
+        self.may_run.acquire()
+        try:
+            self.hold = self.lock.acquire(Turns(), "test", 1.0, **self.how)
+        except (MotorBusyError, Killed):
+            pass
+        finally:
+            self.is_over = True
+            self.has_stopped.release()
+
+    def step(self):
+        if self.left == 0 and not self.is_over:
+            self.has_stopped.release()
+            self.may_run.acquire()
+            if self.is_killed and self.left == 0:
+                self.left = -1
+                raise Killed
+        self.left -= 1
+
+    def advance(self, steps=-1):
+        """Run a number of system calls; -1: run to the end. Return False if it has ended."""
+        if steps and not self.is_over:
+            self.left = steps
+            self.may_run.release()
+            assert self.has_stopped.acquire(timeout=PATIENCE_S)
+        return not self.is_over
+
+    def kill(self):
+        """Kill it before its next system call; the kernel then releases its locks."""
+        if not self.is_over:
+            self.is_killed = True
+            self.may_run.release()
+            assert self.has_stopped.acquire(timeout=PATIENCE_S)
+            self.hold = None
+            self.lock.close()
+
+
+@pytest.fixture(autouse=True)
+def stepwise(monkeypatch):
+    def stopping(call):
+        def stop_first(*args):
+            program = threading.current_thread()
+            if isinstance(program, Program):
+                program.step()
+            return call(*args)
+
+        return stop_first
+
+    for module, name in CALLS:
+        monkeypatch.setattr(module, name, stopping(getattr(module, name)))
+
+
+def judge(path, *programs):
+    holds = [program.hold for program in programs if program.hold is not None]
+    tokens = [hold.token for hold in holds]
+    assert len(set(tokens)) == len(tokens), tokens
+    assert min(tokens, default=TOKEN_OF_A_NEW_FILE_MIN) >= TOKEN_OF_A_NEW_FILE_MIN
+    assert sum(hold.is_held for hold in holds) <= 1
+    owner = [hold.token for hold in holds if hold.is_held]
+    assert owner in ([], [max(tokens, default=0)])
+    for hold in holds:
+        hold.release()
+    last = ProcessLock("pan", "the pan", LockDirectory(path)).acquire(Turns(), "last")
+    assert last.token > max(tokens, default=0)
+    last.release()
+    return tokens
+
+
+def all_pauses(schedule, tmp_path):
+    """Carry out the schedule with all pauses (first, second); return the number of schedules."""
+    done = 0
+    for first in count():
+        for second in count():
+            path = tmp_path / f"{first}-{second}"
+            path.mkdir(mode=0o700)
+            was_first, was_second = schedule(path, first, second)
+            done += 1
+            if not was_second:
+                break
+        if not was_first:
+            return done
+
+
+def released(path):
+    hold = ProcessLock("pan", "the pan", LockDirectory(path)).acquire(Turns(), "before")
+    hold.release()
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["paused", "killed"])
+def test_release_in_a_takeover_gives_nobody_its_token(tmp_path, is_killed):
+    def schedule(path, first, second):
+        holder = ProcessLock("pan", "the pan", LockDirectory(path)).acquire(Turns(), "holder")
+        taker, waiter = Program(path, take_over=True), Program(path)
+        was_first = taker.advance(first)
+        holder.release()
+        was_second = waiter.advance(second)
+        if is_killed:
+            taker.kill()
+        taker.advance()
+        waiter.advance()
+        tokens = judge(path, taker, waiter)
+        assert holder.token not in tokens
+        assert tokens or is_killed
+        return was_first, was_second
+
+    assert all_pauses(schedule, tmp_path) > 100
+
+
+@pytest.mark.parametrize("is_new", [False, True], ids=["used", "new"])
+@pytest.mark.parametrize("is_killed", [False, True], ids=["paused", "killed"])
+def test_takeover_of_a_paused_acquisition_has_own_token(tmp_path, is_killed, is_new):
+    def schedule(path, first, second):
+        if not is_new:
+            released(path)
+        asker, taker = Program(path), Program(path, take_over=True)
+        was_first = asker.advance(first)
+        was_second = taker.advance(second)
+        if is_killed:
+            asker.kill()
+        asker.advance()
+        taker.advance()
+        assert judge(path, asker, taker) or is_killed
+        return was_first, was_second
+
+    assert all_pauses(schedule, tmp_path) > 100
