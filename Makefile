@@ -19,7 +19,7 @@ DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: help install demo docs wheel quick test check bench bench-against fuzz mutants clauses golden format clean compiled build-compiled test-compiled fuzz-compiled
+.PHONY: help install demo docs wheel quick test check bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled test-compiled fuzz-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -52,10 +52,12 @@ wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compi
 quick: $(READY)  ## style and tests that the changes since main can break, nearest first; QUICK="--seconds N --list"
 	@$(BIN)/python -m tests.architecture.quick $(QUICK)
 
-nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants
+nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants, and a sample by rule
 	MOTORHIL_HYPOTHESIS=nightly $(BIN)/python -m pytest $(WORKERS) --timeout 7200 -m "hypothesis or nightly"
 	$(MAKE) --no-print-directory fuzz FUZZ="--seed $$(date +%s) --seconds 1800"
 	$(MAKE) --no-print-directory mutants
+	$(MAKE) --no-print-directory rule-mutants
+	-$(MAKE) --no-print-directory rule-mutants RULES="--seed $$(date +%s)"
 
 test: check  ## everything that must hold, on one machine, in minutes; repetition is for nightly
 	$(BIN)/python -m pytest $(WORKERS)
@@ -84,6 +86,9 @@ fuzz: $(READY)  ## attacks on drives, hosts, files, locks, recorders, memory; FU
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table
 	$(BIN)/python -m tests.conformance.mutants $(MUTANTS)
+
+rule-mutants: $(READY)  ## a sample of small changes of the sources against the clauses; RULES="--seed N --count N"
+	MOTORHIL_PURE=1 PYTHONPYCACHEPREFIX=build/bytecode $(BIN)/python -m tests.conformance.mutants.by_rule $(RULES)
 
 clauses: $(READY)  ## docs/reference/*clauses.md, every clause for adaptations and drives
 	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md

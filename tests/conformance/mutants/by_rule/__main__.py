@@ -1,0 +1,133 @@
+"""`make rule-mutants`: samples mutants made by rule, and tells which ones no clause kills.
+
+The exit status is 1 if a mutant survives, or no clause executes it, and `equivalent.toml` does not
+say why that is right.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+
+from tests.conformance.mutants.by_rule.classified import Reason, known, read, reason_of
+from tests.conformance.mutants.by_rule.execution import Run, measured
+from tests.conformance.mutants.by_rule.sources import sample
+from tests.conformance.mutants.by_rule.trial import Outcome, Trial, prepare, tried
+
+_DEAR_S = 1.0  # cost of a known verdict's check, at most [s]
+Reasons = dict[tuple[str, str], Reason]
+
+
+def table(trials: Sequence[Trial], reasons: Reasons) -> Iterator[str]:
+    """Yield the table of outcomes by room, in Markdown."""
+    names = [one.value for one in Outcome]
+    yield f"| room | sampled | {' | '.join(names)} | of these explained |"
+    yield "| --- " * (len(names) + 3) + "|"
+    rooms = sorted({one.mutant.room for one in trials})
+    for room in (*rooms, "all"):
+        some = [one for one in trials if room in (one.mutant.room, "all")]
+        counts = Counter(one.outcome for one in some)
+        closed = sum(is_closed(one, reasons) for one in some)
+        cells = [len(some), *(counts[outcome] for outcome in Outcome), closed]
+        yield f"| {room} | {' | '.join(map(str, cells))} |"
+
+
+def is_closed(trial: Trial, reasons: Reasons) -> bool:
+    """Return whether no clause should find this mutant, and none does."""
+    reason = reason_of(trial.mutant, reasons)
+    return not trial.outcome.is_found and reason is not None and reason.is_closed
+
+
+def share(trials: Sequence[Trial], reasons: Reasons) -> str:
+    """Return the share of the mutants to be found that clauses have found."""
+    wanted = [one for one in trials if not is_closed(one, reasons)]
+    found = sum(one.outcome.is_found for one in wanted)
+    part = f" ({100 * found / len(wanted):.1f} %)" if wanted else ""
+    return f"found: {found} of {len(wanted)}{part} that clauses should find"
+
+
+def told(trial: Trial, reasons: Reasons) -> Iterator[str]:
+    """Yield the lines about a mutant that was not found."""
+    one = trial.mutant
+    yield f"{one.file}:{one.line} {one.scope}: {trial.outcome.value} [{one.rule}]"
+    yield f"    {one.change}"
+    if trial.seen:
+        yield f"    {trial.clause} on {trial.bench}: {trial.seen}"
+    clauses = dict.fromkeys(name.partition(" on ")[0] for name in trial.ran)
+    if clauses:
+        yield f"    {len(trial.ran)} checks passed: {', '.join(clauses)}"
+    reason = reason_of(one, reasons)
+    if reason is not None:
+        yield f"    {reason.kind}: {reason.reason}"
+
+
+def trials_of(options: argparse.Namespace) -> Iterator[Trial]:
+    """Yield the trial of each sampled mutant; show the progress on stderr."""
+    prepare()
+    execution = measured()
+    prepare(execution.modules)
+    for number, mutant in enumerate(sample(options.seed, options.count, options.only), 1):
+        plan = execution.plan(mutant, options.seconds)
+        trial = tried(mutant, plan, afresh=execution.is_early(mutant))
+        by = f" {trial.clause} on {trial.bench}" if trial.outcome.is_found else ""
+        line = f"{number:4} {mutant.function}: {trial.outcome.value}{by}, {trial.cpu_s:.1f} s"
+        print(line, file=sys.stderr, flush=True)
+        yield trial
+
+
+def known_verdicts() -> int:
+    """Try the mutants of `known.toml`; return the exit status."""
+    prepare()
+    wrong = 0
+    for one in known():
+        mutant = one.mutant()
+        run = Run(one.bench, one.clause, _DEAR_S, "passed", {})
+        trial = tried(mutant, [run], afresh=not mutant.is_in_function)
+        if trial.outcome.value != one.outcome:
+            wrong += 1
+            print(f"known.toml: expected {one.outcome} by {one.clause}", file=sys.stderr)
+            print(*told(trial, {}), sep="\n", file=sys.stderr)
+    return int(bool(wrong))
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the command and return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m tests.conformance.mutants.by_rule")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="default 1")
+    parser.add_argument("--count", type=int, default=200, metavar="N", help="default 200")
+    parser.add_argument("--only", default="", metavar="TEXT", help="in functions of such names")
+    parser.add_argument(
+        "--seconds", type=float, default=5.0, metavar="S", help="cost of a mutant's checks"
+    )
+    parser.add_argument("--json", metavar="FILE", help="write each trial as a line")
+    parser.add_argument("--all", action="store_true", help="also tell the explained survivors")
+    parser.add_argument("--known", action="store_true", help="only try those of known.toml")
+    options = parser.parse_args(words)
+    if options.known:
+        return known_verdicts()
+    reasons = read()
+    trials = []
+    with open(options.json or os.devnull, "w") as file:
+        for one in trials_of(options):
+            trials.append(one)
+            values = {**asdict(one), "outcome": one.outcome.value}
+            print(json.dumps(values), file=file, flush=True)
+            if not one.outcome.is_found and (options.all or not is_closed(one, reasons)):
+                print(*told(one, reasons), sep="\n", flush=True)
+    unexplained = [one for one in trials if not one.outcome.is_found]
+    unexplained = [one for one in unexplained if not is_closed(one, reasons)]
+    print(*table(trials, reasons), sep="\n")
+    print(share(trials, reasons))
+    for reason in reasons.values():
+        if reason.is_outdated:
+            print(f"equivalent.toml: {reason.function}: {reason.change}: not in the sources; drop")
+    cost_s = sum(one.cpu_s for one in trials)
+    print(f"{len(trials)} mutants cost {cost_s:.0f} s of processor time")
+    return int(bool(unexplained))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
