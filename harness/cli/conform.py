@@ -245,8 +245,6 @@ def _print_finding(
         first_of: the first clause of each bad finding so far, which this one is added to.
         in_colours: the result has its colour.
     """
-    from motorhil.harness.conformance.causes import more_of
-
     verdict = one.verdict
     text = verdict.seen or one.promise.promise
     first = one.promise.id
@@ -261,14 +259,18 @@ def _print_finding(
         sys.stdout.flush()
         return
     print(f"{one.promise.id:<10}{result}{verdict.time_ns / 1e9:8.3f} s  {one_line(text)}")
-    for line in more_of(one):
-        print(f"{'':<10}{one_line(line)}")
     sys.stdout.flush()
 
 
 def _print_summary(outcome: "Outcome") -> None:
+    from motorhil.harness.conformance.causes import groups_of, summary_of
     from motorhil.harness.conformance.clause import Result
 
+    groups = groups_of(outcome.findings)
+    if groups:
+        print("\nTo mend, the first one first:")
+    for line in summary_of(groups):
+        print(line[: len(line) - len(line.lstrip())] + one_line(line.strip()))
     counts = [(outcome.count(result), result) for result in Result]
     results = ", ".join(f"{count} {result.value}" for count, result in counts if count)
     took = f"first verdict after {outcome.first_verdict_s:.2f} s, the last {outcome.took_s:.2f} s"

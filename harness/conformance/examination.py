@@ -7,7 +7,7 @@ import shlex
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
@@ -92,7 +92,13 @@ class Examiner:
         second = None
         if record is None:
             record = self._record_of(promise)
-            second = self._check_again(verdict, wall_s >= loaded.deadline_s, record)
+            again_seen = self._check_again(verdict, wall_s >= loaded.deadline_s, record)
+            if again_seen.diagnosis is not None and again_seen == verdict:
+                verdict = replace(verdict, diagnosis=again_seen.diagnosis)  # this run was observed
+            is_same = again_seen == verdict or (
+                wall_s >= loaded.deadline_s and verdict.result is again_seen.result
+            )
+            second = None if is_same else again_seen
         return Finding(
             promise,
             verdict,
@@ -104,15 +110,12 @@ class Examiner:
             second,
         )
 
-    def _check_again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict | None:
-        """Check the clause again and record it; return the verdict if it differs."""
+    def _check_again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict:
+        """Check the clause again, observed and recorded."""
         deadline_s = None
         if was_slow:
             deadline_s = max(1.0, _HANGS_SOONER * self._supervisor.loaded.deadline_s)
-        second = self._supervisor.check(first.clause, record=record, deadline_s=deadline_s)
-        if was_slow and first.result is second.result:
-            return None
-        return None if second == first else second
+        return self._supervisor.check(first.clause, record=record, deadline_s=deadline_s)
 
     def _record_of(self, promise: Promise) -> Path:
         try:

@@ -80,7 +80,9 @@ class Target:
     def opener(self, record: Path | None = None) -> Opener:
         """Return an opener for benches of this rig, which record everything to `record`."""
         if self._places is None:
-            return lambda: RigBench(self.rig, self.seed, record=record)
+            return lambda: RigBench(
+                self.rig, self.seed, record=record, is_observed=record is not None
+            )
         from motorhil.harness.conformance.wall_bench import WallBench
 
         places = self._places
