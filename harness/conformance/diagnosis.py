@@ -96,8 +96,9 @@ def diagnose(
     if observation is not None:
         views = [_View(motor, observation) for motor in observation.motors.values()]
         is_disturbed = bool(_DISTURBS.intersection(one.bench))
+        may_be_pushed = bool({Ability.LOAD, Ability.SEVERAL_USERS}.intersection(one.bench))
         for view in views:
-            hints += view.hints(is_disturbed=is_disturbed)
+            hints += view.hints(is_disturbed=is_disturbed, may_be_pushed=may_be_pushed)
         shown = next((view for view in views if view.moved()), views[0])
         evidence += shown.evidence()
         curves = shown.curves()
@@ -166,8 +167,10 @@ def _of_error(error: BaseException, seen: str, home: str) -> _Hint:
             f"last heard: {error.last_heard}"
         )
         return _Hint(f"deadline {without_numbers(error.awaited)}", cause)
+    used = [one[1] for one in _frames(error) if one[1].startswith("Motor.")]
+    through = f" {used[-1]}() at" if used else ""
     message = without_numbers(f"{error}")
-    return _Hint(f"{type(error).__name__} {message} {file} {function}", f"{seen}, in {function}")
+    return _Hint(f"{type(error).__name__} {message} {file} {function}", f"{seen}, in{through} {function}")
 
 
 # --- from values -------------------------------------------------------------------------------
@@ -250,17 +253,19 @@ class _View:
             return None
         return one.truth + (one.demand_inc - one.position_inc) / scale
 
-    def moved(self) -> bool:
-        """Return whether the motor has moved."""
+    def moved(self, window: float = 0.0) -> bool:
+        """Return whether the motor has moved by more than `window` [U]."""
         places = [one.truth if one.truth is not None else one.told for one in self._samples]
         known = [place for place in places if place is not None]
-        return bool(known) and max(known) - min(known) > 0.0
+        return bool(known) and max(known) - min(known) > window
 
-    def hints(self, *, is_disturbed: bool) -> Iterator[_Hint]:
+    def hints(self, *, is_disturbed: bool, may_be_pushed: bool) -> Iterator[_Hint]:
         """Yield the likely causes that the motion shows."""
         yield from self._told(is_disturbed)
         if not is_disturbed:
             yield from self._asked()
+            if not may_be_pushed:
+                yield from self._strange()
 
     def _told(self, is_disturbed: bool) -> Iterator[_Hint]:
         """Yield the hints from told and true values; told ones are late by some milliseconds."""
@@ -301,7 +306,7 @@ class _View:
         if run is None or motion is None or motion.variable is not ControlVariable.POSITION:
             return
         way = motion.target - motion.start
-        window = _WINDOWS * 2.0 * (self.motor.model.resolution or 1e-4)
+        window = self._window()
         if motion.function is not None or abs(way) < window:
             return
         since = [one for one in self._samples if one.time_ns >= run.since_ns]
@@ -330,6 +335,16 @@ class _View:
             yield from self._wrong_way("distance made", motion, factor, last[-1])
         elif motion.duration_s is not None:
             yield from self._timed(since, motion.duration_s)
+
+    def _strange(self) -> Iterator[_Hint]:
+        """Yield the hint of a motor that moves without any command."""
+        if not self._observation.targets(self.motor.name) and self.moved(self._window()):
+            text = "moved without a command: one for another motor has reached it"
+            yield _Hint("strange command", f"{self.motor.name}: {text}")
+
+    def _window(self) -> float:
+        """Return the largest distance that does not count as a motion [U]."""
+        return _WINDOWS * 2.0 * (self.motor.model.resolution or 1e-4)
 
     def _stopped(self, run: ActiveMotion, places: Sequence[float]) -> Iterator[_Hint]:
         """Yield the hint of a motion that a stop has not ended."""

@@ -18,6 +18,7 @@ The keys of the JSON document are stable:
                         its MCAP file, or null; `digest`, the record's digest, or null; `second`,
                         the `result` and `seen` of a second run with the same seed if they differ,
                         else null
+    not_met             conditions that no clause has met, such as "backlash"
     first_verdict_s     from the start of the command to the first verdict, in wall time
     took_s              from the start of the command to the last verdict
 
@@ -79,6 +80,7 @@ class Outcome:
         findings: the findings in the order of the checks.
         claims: as `Supervisor.claims`; None if the motors could not be asked.
         first_verdict_s, took_s: in wall time [s].
+        not_met: the conditions that no clause has met, such as "backlash".
     """
 
     loaded: Loaded
@@ -86,6 +88,7 @@ class Outcome:
     claims: Mapping[str, str] | None
     first_verdict_s: float
     took_s: float
+    not_met: tuple[str, ...] = ()
 
     def count(self, result: Result) -> int:
         """Return the number of clauses with this result."""
@@ -124,6 +127,7 @@ def as_json(outcome: Outcome) -> str:
             for one in groups_of(outcome.findings)
         ],
         "clauses": [_clause(one) for one in outcome.findings],
+        "not_met": list(outcome.not_met),
         "first_verdict_s": round(outcome.first_verdict_s, 3),
         "took_s": round(outcome.took_s, 3),
     }

@@ -11,7 +11,7 @@ from typing import Final, final
 
 import pytest
 
-from motorhil.harness.conformance.causes import told_in_full
+from motorhil.harness.conformance.causes import cause_of, told_in_full
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Examiner, Finding
 from motorhil.harness.conformance.target import Job
