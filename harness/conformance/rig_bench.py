@@ -12,6 +12,7 @@ from motorhil.emulators.can.frame import can_id_of, data_of, pack
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
+from motorhil.harness.conformance.observation import Observation
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
@@ -81,6 +82,7 @@ class RigBench:
         description: from `bench_description`.
         seed: the seed of all random numbers.
         record: an MCAP file for all events; `afresh` begins a new record.
+        is_observed: keep what a diagnosis needs, in `observation`.
         limit_s: the time limit in the rig's time, after which `TimeIsUp` ends all waits [s].
     """
 
@@ -90,10 +92,12 @@ class RigBench:
         seed: int,
         *,
         record: Path | None = None,
+        is_observed: bool = False,
         limit_s: float = 120.0,
     ) -> None:
         self._description = description
         self._record = record
+        self._is_observed = is_observed
         self._limit_s = limit_s
         self._rules = 0
         self.seed = seed
@@ -104,6 +108,27 @@ class RigBench:
         self._scales: dict[str, float] = {}
         self.rig: Rig = Rig(self._description, seed=self.seed, record=self._record)
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
+
+        self.observation: Observation | None = None
+        if self._is_observed:
+            names = self.facts.motors
+            self.observation = Observation(self.rig, self._description, names, self._seen_truth)
+
+    @property
+    def name(self) -> str:
+        """The name of the bench, for reports."""
+        return self._description.name
+
+    def _seen_truth(self, motor: Motor) -> Mapping[str, float]:
+        truth = dict(self._truth(motor))
+        if "position_rad" in truth:
+            try:
+                scale = self._units_per_rad(motor)
+            except (NotApplicable, AttributeError):  # no ratio, or no model before it is connected
+                return truth
+            truth["position"] = truth["position_rad"] * scale
+            truth["velocity"] = truth["velocity_rad_s"] * scale
+        return truth
 
     def _time_is_up(self, now_ns: int) -> None:
         raise TimeIsUp(f"still waiting after {self._limit_s:g} s of the rig's time")

@@ -25,7 +25,9 @@ import can
 from motorhil.harness.conformance import clause
 from motorhil.harness.conformance.bench import Opener
 from motorhil.harness.conformance.clause import Clause, NotApplicable, Result, Verdict, Violated
-from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.conformance.diagnosis import diagnose
+from motorhil.harness.conformance.observation import Observation
+from motorhil.harness.conformance.rig_bench import RigBench, TimeIsUp
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Capability, Facts
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from motorhil.motorapi import (
@@ -404,11 +406,12 @@ def run_clause(
 
 def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -> Verdict:
     """Return the verdict; keep no reference to the bench."""
-    time_ns = 0
+    time_ns, name = 0, ""
     try:
         _require_claimed(one, claims)
         with open_bench() as bench:
             judge.facts = bench.facts
+            name = bench.name if isinstance(bench, RigBench) else ""
             try:
                 _require_able(one, bench)
                 one.check(bench)
@@ -417,10 +420,17 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
                 if isinstance(error, LimitError):  # asking for a motor connects it
                     judge.models = tuple(motor.model for motor in bench.motors)
                 verdict = judge.verdict(error)
+                if not verdict.result.is_good:
+                    seen = bench.observation if isinstance(bench, RigBench) else None
+                    if seen is not None:
+                        seen.look(bench.runtime.now_ns())
+                    verdict = judge.diagnosed(verdict, error, seen)
             time_ns = bench.runtime.now_ns()
     except BaseException as error:  # while the bench was switched on or off
         verdict = judge.verdict(error)
-    return replace(verdict, time_ns=time_ns)
+        if not verdict.result.is_good:
+            verdict = judge.diagnosed(verdict, error, None)
+    return replace(verdict, time_ns=time_ns, bench=name)
 
 
 def _require_claimed(one: Clause, claims: Claims) -> None:
@@ -482,6 +492,13 @@ class _Judge:
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {seen}", place)
         return Verdict(self._one.id, Result.CRASHED, seen, place)
+
+    def diagnosed(
+        self, verdict: Verdict, error: BaseException, observation: Observation | None
+    ) -> Verdict:
+        """Return the verdict with a diagnosis."""
+        diagnosis = diagnose(self._one, error, verdict.seen, self._home, observation)
+        return replace(verdict, diagnosis=diagnosis)
 
     def _is_no_room(self, error: LimitError) -> bool:
         """Return whether the clause has asked for a position that the motors' models forbid."""

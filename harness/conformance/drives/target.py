@@ -11,6 +11,7 @@ from motorhil.harness.conformance.drives.bench import EmulatedBench, RealBench, 
 from motorhil.harness.conformance.drives.kit import drive_clauses
 from motorhil.harness.conformance.drives.objects import Mode
 from motorhil.harness.conformance.target import OWN_RIGS, Job
+from motorhil.harness.conformance.variations import OWN
 from motorhil.harness.conformance.wall_bench import places_of
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED
 from motorhil.harness.rig.config.toml import RigError
@@ -30,6 +31,7 @@ class DriveTarget:
         deadline_s: for one clause, in wall time [s].
         adaptation: the name of the drive, which stands where results name the adaptation.
         home: "": there is no code under test in this process.
+        variations: none: the drive is judged on its own rig.
 
     Raises:
         RigError: the rig has no such drive, or cannot be used.
@@ -51,6 +53,7 @@ class DriveTarget:
         self.deadline_s: Final = facts.deadline_s if is_declared else _DEADLINE_S
         self.adaptation: Final = job.controller
         self.home: Final = ""
+        self.variations: Final[tuple[str, ...]] = ()
         controller = described.controllers[job.controller]
         node_of(controller)
         places = places_of(job.on, [controller.bus], self.rig) if job.on else {}
@@ -60,8 +63,9 @@ class DriveTarget:
         """Return the clauses for drives."""
         return drive_clauses()
 
-    def opener(self, record: Path | None = None) -> Callable[[], Any]:
+    def opener(self, record: Path | None = None, variation: str = OWN) -> Callable[[], Any]:
         """Return an opener for benches with this drive, which record everything to `record`."""
+        assert variation == OWN, variation
         where = self._where
         if where is None:
             return lambda: EmulatedBench(self.rig, self.adaptation, self.seed, record=record)
