@@ -163,6 +163,27 @@ def messages_in(content: bytes) -> Iterator[tuple[int, int, int, int]]:
     The time is 0 for records other than messages.
 
     Raises:
+        ValueError: a record exceeds the chunk or is damaged, or the rest is not a record.
+    """
+    for opcode, offset, end in _records_in(content):
+        time_ns = 0
+        if opcode == records.MESSAGE:
+            (time_ns,) = records.UINT64.unpack_from(content, offset + _HEAD_SIZE + 6)
+        elif not _is_sound(opcode, content[offset + _HEAD_SIZE : end]):
+            raise ValueError(f"the fields of {_NAMES[opcode]} go beyond it")
+        yield opcode, offset, end, time_ns
+
+
+def _is_sound(opcode: int, content: bytes) -> bool:
+    """Return False for a description of messages whose fields do not fill it."""
+    shape = _SHAPES[opcode] if opcode in (records.SCHEMA, records.CHANNEL) else None
+    return shape is None or _fits(content, shape)
+
+
+def _records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield (opcode, offset, end) of each record in a chunk.
+
+    Raises:
         ValueError: a record exceeds the chunk, or the rest is not a record.
     """
     offset, size = 0, len(content)
@@ -174,10 +195,7 @@ def messages_in(content: bytes) -> Iterator[tuple[int, int, int, int]]:
         end = offset + _HEAD_SIZE + length
         if end > size or (opcode == records.MESSAGE and length < 22):
             raise ValueError("a record goes beyond the chunk")
-        time_ns = 0
-        if opcode == records.MESSAGE:
-            (time_ns,) = records.UINT64.unpack_from(content, offset + _HEAD_SIZE + 6)
-        yield opcode, offset, end, time_ns
+        yield opcode, offset, end
         offset = end
 
 
@@ -350,11 +368,22 @@ class Assembly:
         return number in self._channels
 
     def content(self, content: bytes) -> list[int]:
-        """Write message records as a chunk of their own, like `chunk`."""
-        times = [time_ns for opcode, _, _, time_ns in messages_in(content) if opcode == 5]
+        """Write message records as a chunk of their own, like `chunk`, after their descriptions."""
+        times: list[int] = []
+        messages: list[bytes] = []
+        for opcode, offset, end, time_ns in messages_in(content):
+            if opcode == records.MESSAGE:
+                times.append(time_ns)
+                messages.append(content[offset:end])
+            elif opcode == records.SCHEMA:
+                self.schema(content[offset + _HEAD_SIZE : end])
+            elif opcode == records.CHANNEL:
+                self.channel(content[offset + _HEAD_SIZE : end])
+        if not messages:
+            return []
+        content = b"".join(messages)
         data = zstandard.ZstdCompressor(level=_LEVEL).compress(content)
-        first, last = (min(times), max(times)) if times else (0, 0)
-        return self.chunk(Chunk(first, last, zlib.crc32(content), "zstd", data, content))
+        return self.chunk(Chunk(min(times), max(times), zlib.crc32(content), "zstd", data, content))
 
     def end(self) -> None:
         """Complete the file."""
@@ -592,7 +621,7 @@ class _Walk:
         except ValueError as error:
             whole = _whole_records(chunk.content)
             self._done.nameless += self._assembly.content(whole)
-            self._lose(offset, end, f"the end of a chunk's content ({error})")
+            self._lose(offset, end, f"a part of a chunk's content ({error})")
 
     def _take_loose(self, record: Record) -> None:
         """Collect messages outside chunks into new chunks."""
@@ -675,12 +704,13 @@ class _Walk:
 
 
 def _whole_records(content: bytes) -> bytes:
-    """Return the content up to the end of its last complete record."""
-    end = 0
+    """Return the complete and sound records of a chunk."""
+    whole: list[bytes] = []
     with suppress(ValueError):
-        for _, _, end, _ in messages_in(content):  # noqa: B007  # the last one counts
-            pass
-    return content[:end]
+        for opcode, offset, end in _records_in(content):
+            if _is_sound(opcode, content[offset + _HEAD_SIZE : end]):
+                whole.append(content[offset:end])
+    return b"".join(whole)
 
 
 def _summary_of(data: mmap | bytes) -> Iterator[Record]:
