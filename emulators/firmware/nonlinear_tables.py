@@ -50,6 +50,27 @@ Conditions = tuple[float, float, float, float, float, float, float, float, float
 class StepNumbers:
     """Constants of one substep at one winding temperature; `nonlinear_servo` uses the names."""
 
+    ii: float
+    iw: float
+    iv: float
+    it: float
+    wi: float
+    ww: float
+    wv: float
+    wt: float
+    xi: float
+    xw: float
+    xv: float
+    xt: float
+    coast_w: float
+    coast_wt: float
+    coast_x: float
+    coast_xt: float
+    load_w: float
+    load_wt: float
+    load_x: float
+    load_xt: float
+
     def __init__(self, plant: MotorPlant, h: float, step_s: float, resistance_ohm: float) -> None:
         """Compute all constants; the function is long because it is a list of numbers."""
         extras = plant.extras
@@ -91,23 +112,12 @@ class StepNumbers:
             [0.0] * 5,
         ]
         m = exponential([[value * h for value in row] for row in driven])
-        self.ii: float = m[0][0]
-        self.iw: float = m[0][1]
-        self.iv: float = m[0][3]
-        self.it: float = m[0][4]
-        self.wi: float = m[1][0]
-        self.ww: float = m[1][1]
-        self.wv: float = m[1][3]
-        self.wt: float = m[1][4]
-        self.xi: float = m[2][0]
-        self.xw: float = m[2][1]
-        self.xv: float = m[2][3]
-        self.xt: float = m[2][4]
+        self.ii, self.iw, self.iv, self.it = m[0][0], m[0][1], m[0][3], m[0][4]
+        self.wi, self.ww, self.wv, self.wt = m[1][0], m[1][1], m[1][3], m[1][4]
+        self.xi, self.xw, self.xv, self.xt = m[2][0], m[2][1], m[2][3], m[2][4]
         m = _body(inertia, viscous, steep_rotor, inc_rad, h)
-        self.coast_w: float = m[0][0]
-        self.coast_wt: float = m[0][2]
-        self.coast_x: float = m[1][0]
-        self.coast_xt: float = m[1][2]
+        self.coast_w, self.coast_wt = m[0][0], m[0][2]
+        self.coast_x, self.coast_xt = m[1][0], m[1][2]
         self.decay: float = exponential([[-resistance_ohm / inductance * h]])[0][0]
         self.gain: float = (1.0 - self.decay) / resistance_ohm
 
@@ -115,10 +125,8 @@ class StepNumbers:
         top = self.k * plant.current_max_a
         self.load_coulomb: float = max(load_friction, _LOAD_FRICTION_MIN * top)
         m = _body(load_inertia or inertia, load_viscous, steep_load, inc_rad, h)
-        self.load_w: float = m[0][0]
-        self.load_wt: float = m[0][2]
-        self.load_x: float = m[1][0]
-        self.load_xt: float = m[1][2]
+        self.load_w, self.load_wt = m[0][0], m[0][2]
+        self.load_x, self.load_xt = m[1][0], m[1][2]
         self.gap: float = 0.5 * extras.backlash_rad * gear * inc_rad
         self.spring: float = _stiffness(plant, step_s) / (gear * gear * inc_rad)
         self.damper: float = extras.coupling_damping_n_m_s_rad / (gear * gear * inc_rad) / h
