@@ -35,17 +35,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, NoReturn, Self, TextIO, final
+from typing import TYPE_CHECKING, Any, Final, NoReturn, Self, TextIO, final
 
 import motorhil
 from motorhil.harness.conformance.clause import Result, Verdict, packed, unpacked
-from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.rig_bench import TimeIsUp
 from motorhil.harness.conformance.run import Claims, Line, place_in, raised_at, run_clause
 from motorhil.harness.conformance.target import Job, Target
 from motorhil.harness.conformance.variations import OWN, changes_claims
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
+
+if TYPE_CHECKING:
+    from motorhil.harness.conformance.drives.target import DriveTarget
 
 DUMP_STACKS: Final = signal.SIGUSR1
 """Signal to a worker: dump the stacks of all threads."""
@@ -74,9 +76,7 @@ class _Worker:
     """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        wanted = Job.unpacked(job)
-        self._target: Target | DriveTarget
-        self._target = DriveTarget(wanted) if wanted.controller else Target(wanted)
+        self._target = _target_of(Job.unpacked(job))
         self._clauses = self._target.clauses()
         self._claims = Claims(self._target.opener())
         self._fewer: dict[str, Claims] = {}
@@ -120,7 +120,7 @@ class _Worker:
             RigError: the adaptation's claims cannot be read.
         """
         try:
-            if isinstance(self._target, DriveTarget):
+            if not isinstance(self._target, Target):
                 return self._target.claims()
             return {one.key: self._claims.why_not(one) for one in Capability}
         except RigError:
@@ -130,6 +130,15 @@ class _Worker:
             raise RigError(
                 place, f"{type(error).__name__}: {error}", "correct the adaptation"
             ) from error
+
+
+def _target_of(job: Job) -> "Target | DriveTarget":
+    """Return the target of a job; load what drives need for drives only."""
+    if not job.controller:
+        return Target(job)
+    from motorhil.harness.conformance.drives.target import DriveTarget
+
+    return DriveTarget(job)
 
 
 def main(words: list[str]) -> None:

@@ -9,13 +9,10 @@ from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.drives.client import Client
 from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.conformance.rig_bench import TimeIsUp
-from motorhil.harness.conformance.wall_bench import bus_at, record_bus
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
-from motorhil.traces.mcap.writer import TraceWriter
 
 if TYPE_CHECKING:
     from motorhil.motorapi import Motor
@@ -140,6 +137,10 @@ class RealBench(_Bench):
         *,
         record: Path | None = None,
     ) -> None:
+        from motorhil.harness.conformance.wall_bench import bus_at, record_bus
+        from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
+        from motorhil.traces.mcap.writer import TraceWriter
+
         super().__init__(description, seed)
         described = description.controllers[controller]
         with ExitStack() as cleanup:

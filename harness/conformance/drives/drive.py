@@ -27,6 +27,7 @@ ABSENT: Final = (0x0602_0000, 0x0609_0011)
 """Abort codes of objects and sub-indices that do not exist."""
 _SHORTEST_RAMP_S: Final = 0.1
 _LONGEST_RAMP_S: Final = 1.0
+_RESET_NODE: Final = 0x81
 _SAMPLES: Final = 20
 _FEW: Final = 4
 _AT_REST: Final = 0.03
@@ -83,7 +84,6 @@ class Drive:
         self._stated_units = stated_units
         self._units: Units | None = None
         self._pace: Pace | None = None
-        self._first: dict[Entry, int] = {}
         self._word = 0
 
     # --- time and objects ---------------------------------------------------------------------
@@ -185,18 +185,21 @@ class Drive:
         return int(struct.unpack_from(f"<{entry.code}", data)[0])
 
     def _download(self, entry: Entry, value: int) -> None:
-        if entry not in self._first and entry is not od.CONTROLWORD:
-            with suppress(SdoAbortedError, SdoCommunicationError):
-                self._first[entry] = self._upload(entry)
         self._sdo.download(entry.index, entry.subindex, struct.pack(f"<{entry.code}", value))
 
+    def reset(self) -> None:
+        """Reset the node, and wait until it answers: its objects are as after power-on."""
+        self.quiet(0.1)
+        self.client.node.nmt.send_command(_RESET_NODE)
+        self.quiet(0.1)
+        self.boot()
+
     def leave(self) -> None:
-        """Switch the drive off and restore the objects that were written."""
+        """Switch the drive off, and reset the node: nothing that was written stays."""
         with suppress(SdoAbortedError, SdoCommunicationError, Violated):
             self.command(od.DISABLE_VOLTAGE)
-            for entry, value in self._first.items():
-                with suppress(SdoAbortedError):
-                    self._download(entry, value)
+        with suppress(Violated):
+            self.reset()
 
     # --- verdicts -----------------------------------------------------------------------------
 

@@ -10,15 +10,16 @@ from motorhil.harness.conformance.clause import Clause, NotApplicable
 from motorhil.harness.conformance.drives.bench import EmulatedBench, RealBench, node_of
 from motorhil.harness.conformance.drives.kit import drive_clauses
 from motorhil.harness.conformance.drives.objects import Mode
-from motorhil.harness.conformance.target import OWN_RIGS, Job
+from motorhil.harness.conformance.target import Job
 from motorhil.harness.conformance.variations import OWN
-from motorhil.harness.conformance.wall_bench import places_of
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED
+from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.settings import listed, nearest
 
 _DEADLINE_S: Final = 120.0
+OWN_RIG: Final = Path(__file__).parent / "drive.toml"
 
 
 @final
@@ -38,7 +39,7 @@ class DriveTarget:
     """
 
     def __init__(self, job: Job) -> None:
-        described = describe(Path(job.rig) if job.rig else OWN_RIGS / "drive.toml")
+        described = describe(Path(job.rig) if job.rig else OWN_RIG)
         if job.controller not in described.controllers:
             known = list(described.controllers)
             remedy = nearest(job.controller, known)
@@ -56,8 +57,7 @@ class DriveTarget:
         self.variations: Final[tuple[str, ...]] = ()
         controller = described.controllers[job.controller]
         node_of(controller)
-        places = places_of(job.on, [controller.bus], self.rig) if job.on else {}
-        self._where: Final = places.get(controller.bus)
+        self._where: Final = _place(job, self.rig, controller.bus) if job.on else None
 
     def clauses(self) -> Mapping[str, Clause]:
         """Return the clauses for drives."""
@@ -82,3 +82,10 @@ class DriveTarget:
                     continue
                 claims[f"{mode}"] = f"6502h bit {mode - 1} is 0"
         return claims
+
+
+def _place(job: Job, rig: RigDescription, bus: str) -> str:
+    """Return the place of the drive's bus."""
+    from motorhil.harness.conformance.wall_bench import places_of
+
+    return places_of(job.on, [bus], rig)[bus]

@@ -1,13 +1,18 @@
 """Clauses for drives: no accusation of correct drives, and a killer for each mistake."""
 
+import json
+from xml.etree import ElementTree
+
 import pytest
 
 from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.harness.cli.main import main
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.drives.kit import drive_clauses
 from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.conformance.target import Job
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.version import cores_are_compiled
 from tests.conformance.drives.mutants import MUTANTS
 
@@ -102,3 +107,41 @@ def test_every_clause_has_a_mistake_that_it_finds():
 def test_drive_with_a_vendors_dictionary_is_not_accused(tmp_path, shared, file):
     keys = f'eds = "{shared / "data" / "eds" / file}"\n{VENDORS[file]}'
     assert accusations(target(tmp_path, keys)) == []
+
+
+# --- the verb
+
+
+def test_finding_about_a_drive_is_in_all_results(tmp_path, capsys):
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.format(keys='quirks = ["inverted_set_point_acknowledge"]'))
+    junit, found = tmp_path / "junit.xml", tmp_path / "found.json"
+    words = ["--controller", "drive", "--rig", str(rig), "-o", str(tmp_path / "records")]
+    files = ["--junit", str(junit), "--json", str(found)]
+    assert main(["conform", *words, *files, "--clause", "PP-02"]) == 1
+    (clause,) = json.loads(found.read_text())["clauses"]
+    assert clause["seen"].startswith(
+        "6041h, enabled without a set-point: expected bit 12 = 0; seen"
+    )
+    assert clause["second"] is None
+    assert "drives/clauses/positioning.py" in clause["place"]
+    assert (tmp_path / "records" / "PP-02.mcap").exists()
+    assert f"--controller drive --rig {rig} --clause PP-02 --seed 1" in capsys.readouterr().out
+    (failure,) = ElementTree.parse(junit).getroot().iter("failure")
+    assert failure.get("message") == clause["seen"]
+
+
+def test_clauses_for_drives_are_listed(capsys):
+    assert main(["conform", "--controller", "drive", "--list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [one["clause"] for one in listed] == list(drive_clauses())
+
+
+def test_unknown_controller_is_refused_with_known_names():
+    with pytest.raises(RigError, match="has no such controller; did you mean drive"):
+        DriveTarget(Job(controller="drvie"))
+
+
+def test_drive_and_adaptation_together_are_refused(capsys):
+    assert main(["conform", "--controller", "drive", "--adaptation", "cia402"]) == 2
+    assert "leave one of them out" in capsys.readouterr().err

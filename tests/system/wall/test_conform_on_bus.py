@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from motorhil.harness.conformance.drives.target import OWN_RIG
 from motorhil.harness.conformance.target import Job, Target
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.mcap.reader import read_trace
@@ -77,7 +78,7 @@ def test_conform_checks_a_foreign_drive_through_its_bus(tmp_path):
     clauses = [word for one in names for word in ("--clause", one)]
     words = ("--controller", "drive", "--on", f"can0={hub}", "--json", str(found), *clauses)
     done = motorhil(
-        *("serve", str(RIGS / "drive.toml"), "--socket", str(hub), "--"),
+        *("serve", str(OWN_RIG), "--socket", str(hub), "--"),
         *(*MOTORHIL, "conform", *words, "-o", str(tmp_path / "records")),
     )
     assert done.returncode == 0, done.stdout + done.stderr
