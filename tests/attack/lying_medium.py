@@ -99,6 +99,10 @@ class Truth:
         """Return the position now [rad]."""
         return self._rig.world.snapshot(self._controller)["position_rad"]
 
+    def since(self, time_ns: int) -> list[float]:
+        """Return the positions since a time that is not long ago [rad]."""
+        return [one[1] for one in self._seen if one[0] >= time_ns] + [self.position()]
+
     def require(self, what: str, value: float, at_ns: int, place: int, tolerance: float) -> None:
         """Raise SilentlyWrong if the value has not been true since `at_ns` less the age.
 
@@ -260,14 +264,14 @@ class Program:
 
     def _move(self) -> None:
         distance = self._dice.choice((-0.4, -0.05, 0.05, 0.4))
-        before = self._truth.position()
+        before, before_ns = self._truth.position(), self._rig.runtime.now_ns()
         self.motor.set_control_mode(ControlMode.TRAJECTORY)
         self.motor.set_trajectory(TrapezoidalTrajectory(distance))
         self.motor.start()
-        begun = self._truth.position()  # it may have been slowing down until now
+        begun = [before, *self._truth.since(before_ns)]  # it may have been slowing down until now
         self.motor.wait_until_done(5)
         now = self._truth.position()
-        low, high = min(before, begun) + distance, max(before, begun) + distance
+        low, high = min(begun) + distance, max(begun) + distance
         if not low - 2 * self._tolerance <= now <= high + 2 * self._tolerance:
             raise SilentlyWrong(f"done at {now:.5f} rad; expected {low:.5f} to {high:.5f} rad")
 
