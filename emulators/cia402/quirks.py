@@ -372,8 +372,11 @@ class QuirkyWire:
 
     def _altered_response(self, frame: bytes) -> bytes:
         """Return an SDO response with the quirks of its first byte and of its unused bytes."""
+        quirks = self._quirks
+        if not (quirks.has_stale_bytes or quirks.hides_size):
+            return frame
         command, data = frame[8], frame[12:16]
-        if self._quirks.has_stale_bytes:
+        if quirks.has_stale_bytes:
             used = 4
             if command & 0xE3 == _EXPEDITED:
                 used = 4 - (command >> 2 & 3)
@@ -381,7 +384,7 @@ class QuirkyWire:
                 used = 0
             data = data[:used] + self._left_over[used:]
             self._left_over = data
-        if self._quirks.hides_size and command & 0xE3 == _EXPEDITED:
+        if quirks.hides_size and command & 0xE3 == _EXPEDITED:
             command = _SIZE_UNKNOWN
         return frame[:8] + bytes((command,)) + frame[9:12] + data
 

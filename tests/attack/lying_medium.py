@@ -37,12 +37,13 @@ from tests.support.motors.kinds import EVERY, Kind
 
 MS: Final = 1_000_000
 DELAY_MAX_NS: Final = 300 * MS
-TROUBLE_S: Final = (0.2, 3.0)
+TROUBLE_BEGIN_S: Final = 0.4
+"""The latest begin of a rule [s]: the calls of a program take 0.2 to 1 s without trouble."""
+TROUBLE_S: Final = (0.2, 1.5)
 """The shortest and the longest time that a rule lasts [s]."""
 CALL_MAX_S: Final = 12.0
 """The longest time of any call [s]: its own timeouts, and those of what it asks first."""
 CALLS: Final = 10
-_REST_S: Final = 2.0
 _REPLY_S: Final = 0.1  # the time of an exchange without trouble
 _TRIES: Final = 3  # a call may find out only now what the trouble has done
 _ROUNDING_RAD: Final = 0.001
@@ -140,7 +141,7 @@ class Trouble:
         is_line = rig.description.buses[self._bus].is_line
         is_tcp = is_line and rig.description.buses[self._bus].kind == "modbus_tcp"
         for number in range(dice.randrange(1, 5)):
-            begin_ns = rig.runtime.now_ns() + round(dice.uniform(0.0, 2.0) * 1e9)
+            begin_ns = rig.runtime.now_ns() + round(dice.uniform(0.0, TROUBLE_BEGIN_S) * 1e9)
             until_ns = begin_ns + round(dice.uniform(*TROUBLE_S) * 1e9)
             self.ends_ns = max(self.ends_ns, until_ns)
             name = f"trouble {number}"
@@ -290,14 +291,15 @@ class Program:
 
     def require_usable(self) -> None:
         """Raise SilentlyWrong if the motor cannot move in one of few tries."""
+        rest_s = self._truth.age_ns / 1e9  # a value from before it is too old
         for last in (False,) * (_TRIES - 1) + (True,):
-            self._rig.runtime.run_for(_REST_S)
+            self._rig.runtime.run_for(rest_s)
             try:
                 self.motor.stop()
                 if self.motor.fault() is not None:
                     self.motor.reset_fault()
                 self.motor.enable()
-                self._rig.runtime.run_for(_REST_S)
+                self._rig.runtime.run_for(rest_s)
                 self._position()
                 self._move()
                 self._position()

@@ -209,12 +209,11 @@ class CspStream:
         self.started_ns = self.latched_ns = None
         self._heir, self._tell_began, self._tell_lost = heir, began, lost
 
-    def _inherit(self) -> None:
-        """Change to the set-points of the next motion, if one waits."""
-        heir, self._heir = self._heir, None
-        if heir is not None:
-            self._zero = self._cycle - 1
-            self._next_target = heir()
+    def _inherit(self, heir: Callable[[], Callable[[int], int | None]]) -> None:
+        """Change to the set-points of the next motion."""
+        self._heir = None
+        self._zero = self._cycle - 1
+        self._next_target = heir()
 
     def _send(self) -> Transmission:
         counter = (self._target + _HALF) % _SPAN - _HALF  # 607Ah wraps as the drive's counter
@@ -260,7 +259,8 @@ class CspStream:
             if not self._is_followed(now_ns):
                 self._sync_lost(self._not_followed())
                 return
-            self._inherit()
+            if self._heir is not None:
+                self._inherit(self._heir)
             target = self._next_target(self._cycle - self._zero)
             if target is None:
                 self._sync.at_next(self._was_latched)

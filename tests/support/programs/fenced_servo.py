@@ -8,6 +8,7 @@ sent without regard to the owner of the node.
 """
 
 import sys
+from math import inf
 
 import can
 
@@ -38,7 +39,8 @@ def servo_on(bus, name, runtime=None):
         bus, node_id=1, current_per_volt_a_v=0.8, options=PATIENT, runtime=runtime
     )
     gains = PidGains.tuned(3.0, 0.038, friction_a=0.154)
-    coarse = ServoParameters(position_window=0.005)
+    # Late cycles of a busy machine are no fault here: what counts is who sends.
+    coarse = ServoParameters(position_window=0.005, following_error_window=inf)
     return SoftwareMotor(hardware, MODEL, gains, parameters=coarse, name=name)
 
 
