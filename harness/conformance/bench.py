@@ -23,6 +23,7 @@ class Ability(Enum):
     CUT = "cut a drive off the bus for a time"
     LOSE = "lose frames or answers of a drive"
     LATE = "delay answers of a drive"
+    ONE_KIND = "lose all frames with one identifier"
     SILENCE_HOST = "drop everything the host sends"
     BUS_ERRORS = "disturb frames on a CAN bus until a node goes bus-off"
     AFRESH = "switch everything off and on again"
@@ -103,6 +104,12 @@ class RigProtocol(Protocol):
 
         Frames that the drive sends by itself are not delayed, as a bus keeps their order.
         """
+
+    def identifiers(self) -> AbstractContextManager[Sequence[int]]:
+        """Record the identifiers of all frames in the block, each once (Ability.ONE_KIND)."""
+
+    def lose_identifier(self, identifier: int) -> AbstractContextManager[Lost]:
+        """Drop all frames with this identifier within the block (Ability.ONE_KIND)."""
 
     def strike(
         self, motor: Motor | None, times: int, *, skip: int = 0

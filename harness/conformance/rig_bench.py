@@ -169,7 +169,7 @@ class RigBench:
             if kind in _CANOPEN or self._is_on_a_line(self.motor):
                 able |= {Ability.TRAFFIC, Ability.LATE}
             if not self._is_on_a_line(self.motor):
-                able.add(Ability.BUS_ERRORS)
+                able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
             if kind in _CANOPEN:
                 able |= {Ability.STOP_SYNC, Ability.RESTART}
         return tuple(one for one in Ability if one in able)
@@ -260,6 +260,30 @@ class RigBench:
             yield late
 
     @contextmanager
+    def identifiers(self) -> Iterator[list[int]]:
+        """Record the identifiers of all frames on the motor's bus in the block, each once."""
+        seen: list[int] = []
+        bus = self._bus(self.motor)
+
+        def on_frame(where: str, _time_ns: int, _sender: str, frame: bytes) -> None:
+            if where == bus and can_id_of(frame) not in seen:
+                seen.append(can_id_of(frame))
+
+        world = self.rig.world
+        world.tap_frames(on_frame)
+        try:
+            yield seen
+        finally:
+            world.untap_frames(on_frame)
+
+    @contextmanager
+    def lose_identifier(self, identifier: int) -> Iterator[Lost]:
+        """Drop all frames with this identifier on the motor's bus within the block."""
+        rule = FaultRule("", FaultKind.DROP, identifier=identifier)
+        with self._rule(self.motor, rule) as lost:
+            yield lost
+
+    @contextmanager
     def strike(self, motor: Motor | None, times: int, *, skip: int = 0) -> Iterator[Lost]:
         """Destroy transmission attempts of the drive, or of the host (None), in the block."""
         sender = HOST if motor is None else self._controller(motor)
@@ -290,8 +314,7 @@ class RigBench:
     @contextmanager
     def stop_sync(self) -> Iterator[Lost]:
         """Drop all SYNC frames (CiA 301) within the block."""
-        rule = FaultRule("", FaultKind.DROP, identifier=_SYNC)
-        with self._rule(self.motor, rule) as lost:
+        with self.lose_identifier(_SYNC) as lost:
             yield lost
 
     def restart(self, motor: Motor) -> None:

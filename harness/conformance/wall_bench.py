@@ -194,6 +194,14 @@ class WallBench:
         """Raise NotApplicable."""
         _refuse(Ability.LATE)
 
+    def identifiers(self) -> AbstractContextManager[Sequence[int]]:
+        """Raise NotApplicable."""
+        _refuse(Ability.ONE_KIND)
+
+    def lose_identifier(self, identifier: int) -> AbstractContextManager[Lost]:
+        """Raise NotApplicable."""
+        _refuse(Ability.ONE_KIND)
+
     def strike(
         self, motor: Motor | None, times: int, *, skip: int = 0
     ) -> AbstractContextManager[Lost]:

@@ -20,7 +20,7 @@ _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("LIM-05", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
-        *("LOST-02", "LOST-03", "LOST-07", "LOST-08"),
+        *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11"),
         *_OF_CAN,
     }
 )
@@ -32,7 +32,7 @@ NOT_APPLICABLE = {
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
-            *(f"LOST-{number:02}" for number in range(1, 11)),
+            *(f"LOST-{number:02}" for number in range(1, 12)),
             *_OF_CAN,
         }
     ),

@@ -5,6 +5,7 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 """
 
 from contextlib import suppress
+from functools import partial
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
@@ -261,6 +262,43 @@ def lost_frame_keeps_report_truthful(bench: RigProtocol) -> None:
                 lose = bench.lose_answers_of(motor, skip=skip, limit=1)
             hit += move_through(bench, motor, lose, which)
     reached(hit > 0, "the loss of a frame")
+
+
+@clause(
+    "LOST-11",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.ONE_KIND, Ability.AFRESH},
+    source="CiA 301, COB-ID: each message has its own; requirement 1; errors: LinkError",
+)
+def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
+    """If all frames with one identifier are lost, a motion is done, or fails by itself."""
+    with bench.identifiers() as seen:
+        bench.motor.enable()
+        move(bench, bench.motor, 0.1 * long_move(bench))
+    lost = 0
+    for identifier in sorted(seen):
+        bench.afresh()
+        motor, way = bench.motor, 0.25 * long_move(bench)
+        expected_s, what = shortest_s(motor, way), f"all frames {identifier:03X}h lost"
+        motor.enable()
+        before = position_of(bench, motor)
+        follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, 0.3 * expected_s)
+        with bench.lose_identifier(identifier) as count:
+            error = failure_of(partial(finish, bench, motor, expected_s))
+            lost += count()
+        is_open = isinstance(error, DeadlineExceeded) and error.awaited.startswith("end of motion")
+        expect(
+            not is_open,
+            f"{what}: a motion of {expected_s:.3f} s is neither done nor failed: {error}",
+        )
+        if error is None:
+            expect_moved(bench, motor, before, way, f"{what}: done was reported")
+            continue
+        rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
+        expect_usable(bench, motor, what)
+    reached(lost > 0, "the loss of a frame")
 
 
 @clause(

@@ -1,6 +1,7 @@
 """Mistakes that show only with lost frames, drives or hosts."""
 
 from contextlib import suppress
+from unittest.mock import patch
 
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
@@ -249,4 +250,16 @@ def faults_of_streams_swallowed():
         return told
 
     with replaced(Cia402Motor, "_is_done", wrong):
+        yield
+
+
+@mutant("cia402", "LOST-11")
+def a_status_that_stays_away_is_awaited():
+    """A drive with a heartbeat is waited for, although its status does not come any more."""
+
+    def wrong(refresh):
+        return lambda motor: None if motor.hardware.node.status_is_cyclic else refresh(motor)
+
+    told = property(lambda node: node.status_is_cyclic)
+    with patch.object(DriveNode, "is_told", told), replaced(Cia402Motor, "_refresh", wrong):
         yield
