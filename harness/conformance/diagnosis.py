@@ -170,8 +170,8 @@ def _of_error(error: BaseException, seen: str, home: str) -> _Hint:
     used = [one[1] for one in _frames(error) if one[1].startswith("Motor.")]
     through = f" {used[-1]}() at" if used else ""
     message = without_numbers(f"{error}")
-    name = type(error).__name__
-    return _Hint(f"{name} {message} {file} {function}", f"{seen}, in{through} {function}")
+    key = f"{type(error).__name__} {message} {file} {function}"
+    return _Hint(key, f"{seen}, in{through} {function}")
 
 
 # --- from values -------------------------------------------------------------------------------

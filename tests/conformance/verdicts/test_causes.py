@@ -15,7 +15,7 @@ from motorhil.harness.conformance.target import Job, Target
 from motorhil.harness.conformance.worker import Promise
 from tests.conformance.mutants import MUTANTS, replaced
 from tests.conformance.mutants.everyone import MODULES
-from tests.conformance.named_causes import NAMED_CAUSES
+from tests.conformance.verdicts.named_causes import NAMED_CAUSES
 from tests.support.kit_benches import opener
 
 assert MODULES
