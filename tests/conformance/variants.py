@@ -8,6 +8,7 @@ from pathlib import Path
 from tests.support.kit_benches import RIGS
 
 _PLANT = 'plant = { preset = "wheel_60w" }'
+_ACCELERATION = "acceleration_max_rad_s2 = 4.0"
 _FINE = "window_rad = 0.001\nfollowing_rad = 0.0005"
 _SEEKING = "seeking_method = 17\n"
 _WITHOUT_CONSUMER = '\n[conformance.without]\ndead_man = "the file has no heartbeat consumer"\n'
@@ -62,6 +63,7 @@ VARIANTS: dict[str, list[Change]] = {
     "starts at 5 rad": of_drive("initial_position_rad = 5.0"),
     "starts near the end of the counter": of_drive("initial_position_rad = 102_000.0"),
     "starts near its other end": of_drive("initial_position_rad = -102_000.0"),
+    "brakes gently": [(_ACCELERATION, f"{_ACCELERATION}\ndeceleration_max_rad_s2 = 1.0")],
     "inverted positions": of_drive('objects = { "607Eh" = 0x80 }'),
     "inverted velocities": of_drive('objects = { "607Eh" = 0x40 }'),
     "inverted polarity": of_drive('objects = { "607Eh" = 0xC0 }'),
