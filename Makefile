@@ -19,7 +19,7 @@ DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
 test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 
-.PHONY: help install demo docs wheel quick test check bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled test-compiled
+.PHONY: help install demo docs wheel quick test check bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled test-compiled fuzz-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -90,8 +90,9 @@ mutants: $(READY)  ## every adaptation broken on purpose against every clause; w
 rule-mutants: $(READY)  ## a sample of small changes of the sources against the clauses; RULES="--seed N --count N"
 	MOTORHIL_PURE=1 PYTHONPYCACHEPREFIX=build/bytecode $(BIN)/python -m tests.conformance.mutants.by_rule $(RULES)
 
-clauses: $(READY)  ## docs/reference/clauses.md, every clause of the conformance kit
+clauses: $(READY)  ## docs/reference/*clauses.md, every clause for adaptations and drives
 	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md
+	$(BIN)/python -m motorhil.harness.conformance.drives.kit > docs/reference/drive-clauses.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.support.golden
@@ -149,10 +150,14 @@ build-compiled: $(READY)
 	@$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index \
 	    --ignore-installed build/compiled/wheel/*.whl
 
+ON_COMPILED = rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/ && cd build/tests && \
+    MOTORHIL_COMPILED=1 MOTORHIL_CHECKOUT=$(CURDIR) MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} \
+    ../../$(COMPILED)/bin/python
 test-compiled: compiled  ## the tests again, against the compiled cores
-	rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/
-	cd build/tests && MOTORHIL_COMPILED=1 MOTORHIL_CHECKOUT=$(CURDIR) \
-	    MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} ../../$(COMPILED)/bin/python -m pytest $(TESTS)
+	$(ON_COMPILED) -m pytest $(TESTS)
+
+fuzz-compiled: compiled  ## the attacks against the compiled cores; FUZZ as for fuzz
+	$(ON_COMPILED) -m tests.attack $(FUZZ)
 
 clean:  ## removes all that the other targets have made
 	rm -rf $(VENV) .venv-compiled .venv-docs build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -177,8 +177,8 @@ class MotorBusyError(MotorError):
         self.purpose = purpose
         self.process = process
         self.pid: int | None = None if process is None else process[0]
-        self.program = "" if process is None else process[1]
-        self.since = since or f"{since_ns / 1e9:.6f} s"
+        self.program: str = "" if process is None else process[1]
+        self.since: str = since or f"{since_ns / 1e9:.6f} s"
         self.taken_over = taken_over
         self.remedy = remedy
         whom = f"{holder} for {purpose}" if purpose else holder

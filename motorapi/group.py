@@ -85,7 +85,7 @@ class _Watched:
         self._common = common
         self.motor: Final = motor
         self.run: Final = run
-        self.is_over = False
+        self.is_over: bool = False
 
     def look(self) -> None:
         """Examine the motor after a change."""

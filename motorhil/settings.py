@@ -28,7 +28,7 @@ BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 REQUIRED: Final[Any] = MISSING
 """The default of a key that a table must have."""
 _SHOWN_MAX: Final = 60
-_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
+INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 _KEY: Final = "setting"
 _UNIT: Final = "{u}"
 _SLIPS: Final = {  # what values in the unit on the left are often written in, and its size
@@ -202,7 +202,7 @@ class Number:
             noun += f" [{self.unit}]" if self.unit else ""
             raise _wrong_type(path, noun, value, self, f"allowed: {self.limits()}")
         number: float = value
-        if isinstance(number, int) and abs(number) > _INTEGER_MAX:
+        if isinstance(number, int) and abs(number) > INTEGER_MAX:
             raise SettingError(path, "is an integer of more than 64 bits", "write a shorter one")
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(number, float) and not math.isfinite(number):

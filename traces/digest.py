@@ -11,6 +11,7 @@ from itertools import zip_longest
 from typing import final
 
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.mcap.reader import TraceMessage, read_trace
 
 _LENGTH = struct.Struct("<I")
@@ -68,16 +69,16 @@ class Mismatch:
 
 
 def first_mismatch(
-    first: str | os.PathLike[str], second: str | os.PathLike[str]
+    first: str | os.PathLike[str], second: str | os.PathLike[str], memory_max: int = MEMORY_MAX
 ) -> Mismatch | None:
     """Return the first difference; None if the messages (and so the digests) are the same.
 
-    Cut files are compared as far as they go.
+    Cut files are compared as far as they go. `memory_max` bounds what a chunk may become.
 
     Raises:
         TraceError: one of them cannot be read, or is damaged.
     """
-    with read_trace(first) as left, read_trace(second) as right:
+    with read_trace(first, memory_max) as left, read_trace(second, memory_max) as right:
         pairs = zip_longest(left.messages(), right.messages())
         for number, (one, other) in enumerate(pairs):
             if _plain(one) != _plain(other):

@@ -7,6 +7,7 @@ complete. Pipes and devices are refused: reading needs random access, and replac
 A file that gzip compressed is read as its content, which is unpacked into an unnamed file first.
 """
 
+import errno
 import fcntl
 import gzip
 import io
@@ -34,7 +35,14 @@ _GZIP: Final = b"\x1f\x8b\x08"
 _GZIP_WINDOW: Final = 16 + zlib.MAX_WBITS  # with a head of gzip
 _BLOCK: Final = 1 << 16
 _RATIO_MAX: Final = 200  # of a recording; DEFLATE can reach 1032, with nothing but one byte
-_UNPACKED_FREE: Final = 64_000_000  # bytes below which the ratio does not matter
+_READ_REMEDIES: Final = {
+    errno.ENOENT: "check the name",
+    errno.ENOTDIR: "check the name",
+    errno.EISDIR: "name a file in it",
+    errno.EACCES: "allow yourself to read it: chmod u+r",
+    errno.EIO: "copy it from a medium that can be read",
+}
+COPY_AGAIN: Final = "copy the file again from where it came"
 
 
 def reason(error: OSError) -> str:
@@ -44,7 +52,8 @@ def reason(error: OSError) -> str:
 
 def unreadable(path: str, error: OSError) -> TraceError:
     """Return the error for a file that the operating system does not read."""
-    return TraceError(path, f"cannot be read: {reason(error)}")
+    remedy = _READ_REMEDIES.get(error.errno or 0, "")
+    return TraceError(path, f"cannot be read: {reason(error)}", remedy=remedy)
 
 
 def refuse_pipe(path: str | os.PathLike[str]) -> None:
@@ -74,20 +83,32 @@ def head_of(path: str, size: int) -> bytes:
     if not head.startswith(_GZIP):
         return head[:size]
     try:
-        return zlib.decompressobj(_GZIP_WINDOW).decompress(head, size)
+        unpacker = zlib.decompressobj(_GZIP_WINDOW)
+        content = unpacker.decompress(head, size)
     except zlib.error:
         return head[:size]
+    if not content and not unpacker.eof:
+        raise _empty_handed(path, "is cut short")
+    return content
 
 
-def open_content(path: str, report: Callable[[str], None] | None = None) -> BinaryIO:
+def _empty_handed(path: str, damage: str) -> TraceError:
+    """Return the error for gzip data without any content before its damage."""
+    return TraceError(path, f"its gzip data {damage}, before any content", remedy=COPY_AGAIN)
+
+
+def open_content(
+    path: str, report: Callable[[str], None] | None = None, memory_max: int = MEMORY_MAX
+) -> BinaryIO:
     """Open a file, or, if it is compressed by gzip, an unnamed file with its content.
 
     Args:
         path: the file.
         report: called with a damage of the compressed data; the content before it is complete.
+        memory_max: the most bytes of content, if these are also 200 times the compressed size.
 
     Raises:
-        TraceError: the file cannot be read, or its content is too large.
+        TraceError: the file cannot be read, has no content before a damage, or too much content.
     """
     try:
         file = open(path, "rb")  # noqa: SIM115  # the caller closes it
@@ -99,15 +120,17 @@ def open_content(path: str, report: Callable[[str], None] | None = None) -> Bina
             return file
         with file:
             file.seek(0)
-            return _unpacked(path, file, report)
+            return _unpacked(path, file, report, memory_max)
     except OSError as error:
         file.close()
         raise unreadable(path, error) from error
 
 
-def _unpacked(path: str, file: BinaryIO, report: Callable[[str], None] | None) -> BinaryIO:
+def _unpacked(
+    path: str, file: BinaryIO, report: Callable[[str], None] | None, memory_max: int
+) -> BinaryIO:
     content = tempfile.TemporaryFile()  # noqa: SIM115  # the caller closes it
-    limit = max(_UNPACKED_FREE, _RATIO_MAX * os.fstat(file.fileno()).st_size)
+    limit = max(memory_max, _RATIO_MAX * os.fstat(file.fileno()).st_size)
     damage = ""
     try:
         try:
@@ -115,12 +138,14 @@ def _unpacked(path: str, file: BinaryIO, report: Callable[[str], None] | None) -
                 while block := packed.read1(_BLOCK):
                     content.write(block)
                     if content.tell() > limit:
-                        what = f"unpacks to more than {limit // 1_000_000} MB"
-                        raise TraceError(path, what, remedy="if that is right, gunzip it first")
+                        what = f"unpacks to more than {limit} bytes"
+                        raise TraceError(path, what, remedy="--max-memory allows more")
         except EOFError:
             damage = "is cut short"
         except (gzip.BadGzipFile, zlib.error) as error:
             damage = f"is damaged ({error})"
+        if damage and not content.tell():
+            raise _empty_handed(path, damage)
         if damage and report is not None:
             report(f"its gzip data {damage}, after {content.tell()} bytes of content")
         content.seek(0)
@@ -131,11 +156,13 @@ def _unpacked(path: str, file: BinaryIO, report: Callable[[str], None] | None) -
 
 
 # Beginning of the file, what it is, what to do with it.
+NOT_MCAP: Final = ("is not an MCAP file", "give a recording, or convert it to MCAP")
 _STRANGERS: Final[tuple[tuple[bytes, str, str], ...]] = (
     (b"PK\x03\x04", "is a ZIP archive", "unzip it, and give a file in it"),
     (b"7z\xbc\xaf\x27\x1c", "is a 7z archive", "unpack it, and give a file in it"),
     (b"Rar!", "is a RAR archive", "unpack it, and give a file in it"),
     (b"\x28\xb5\x2f\xfd", "is compressed by zstd", "unpack it with unzstd"),
+    (_GZIP, "is compressed by gzip", "gunzip it first"),
     (b"BZh", "is compressed by bzip2", "unpack it with bunzip2"),
     (b"\xfd7zXZ\0", "is compressed by xz", "unpack it with unxz"),
     (b"#ROSBAG V", "is a ROS 1 bag", "convert it with rosbags-convert or mcap convert"),

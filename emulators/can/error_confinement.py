@@ -129,8 +129,8 @@ class Confinement:
     def __init__(self, tec: int = 0, rec: int = 0) -> None:
         if not 0 <= tec < BUS_OFF or not 0 <= rec <= REC_MAX:
             raise ValueError(f"TEC {tec}, REC {rec}: invalid counters; expected 0 to 255 each")
-        self.tec = tec
-        self.rec = rec
+        self.tec: int = tec
+        self.rec: int = rec
 
     def __str__(self) -> str:
         return f"TEC {self.tec}, REC {self.rec}"

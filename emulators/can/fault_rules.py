@@ -218,7 +218,7 @@ class NoiseSource:
         for _ in range(_DOUBLINGS - 1):
             self._spared.append(self._spared[-1] * self._spared[-1])
         self._gaps: list[int] = []  # between inverted bits that were looked at already
-        self.left = self._distance()
+        self.left: int = self._distance()
 
     def pass_by(self, bits: int) -> None:
         """Advance by this many bits."""

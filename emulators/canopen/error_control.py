@@ -183,9 +183,9 @@ class NodeGuarding:
         self._toggle = 0
         self._life_ns = 0
         self._is_asked = False
-        self.can_id = self._answer_id | RTR_FLAG
+        self.can_id: int = self._answer_id | RTR_FLAG
         self.deadline_ns: int = NEVER
-        self.is_lost = False
+        self.is_lost: bool = False
 
     def take_node_id(self, node_id: int) -> None:
         """Guard this node-ID from now on."""

@@ -80,7 +80,7 @@ class LssSlave:
         self._scanned = 0  # fastscan: the current number of the address
         self._bit_timing: int = UNSET
         self.pending_node_id: int = node_id
-        self.is_configuring = False
+        self.is_configuring: bool = False
         self.deadline_ns: int = NEVER
 
     def reset(self) -> None:

@@ -107,17 +107,17 @@ class CanopenNode:
                 f"node_id {node_id}: invalid; expected 1..127, or {UNCONFIGURED} for none"
             )
         self.od = od
-        self.node_id = node_id
+        self.node_id: int = node_id
         self.state: int = NmtState.INITIALISING
         self._timing = timing
         self._host = host
-        self.outbox = Outbox()
+        self.outbox: Outbox = Outbox()
         if od.node_id == 0:
             od.node_id = 1 if node_id == UNCONFIGURED else node_id
         defaults_of = od.node_id
         self._store = ParameterStore(od, RigMemory() if memory is None else memory, self.outbox)
         self._emcy = EmcyProducer(od, defaults_of, self.outbox, self)
-        self.can = CanWatch(self._emcy, self.outbox)
+        self.can: CanWatch = CanWatch(self._emcy, self.outbox)
         self._sync = SyncService(od, self._emcy, self.outbox)
         self._sdo = SdoServer(DictionaryAccess(od, host, self), timing.sdo_reply_ns, self.outbox)
         self._pdos = PdoService(od, defaults_of, self._emcy, self._sync, self.outbox, host)

@@ -209,10 +209,11 @@ class Variable:
         self.data_type = data_type
         self.access = access
         self.pdo_mappable = pdo_mappable
-        self.follows_node_id = False
-        self.bits = length_bits(data_type)
-        self.low, self.high = limits
-        self.has_default = default is not None
+        self.follows_node_id: bool = False
+        self.bits: int = length_bits(data_type)
+        self.low: int | None = limits[0]
+        self.high: int | None = limits[1]
+        self.has_default: bool = default is not None
         self.default: Value = zero(data_type) if default is None else default
         encode(data_type, self.default)
         self.value: Value = self.default
@@ -317,7 +318,7 @@ class ObjectDictionary:
         self._hidden: dict[int, Variable] = {}
         self._subindices: dict[int, list[int]] = {}
         self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
-        self.node_id = 0
+        self.node_id: int = 0
         self.supports_lss = False
 
     def add(self, variable: Variable) -> Variable:

@@ -61,11 +61,11 @@ class Rpdo:
     ) -> None:
         self.parameters = parameters
         self.number = number  # 1..512, as in the standard's names
-        self.can_id = 0  # 0: it does not exist
-        self.is_synchronous = False
-        self.mapping = PdoMapping([])
-        self.latched = b""
-        self.event_ns = 0  # 0: no event timer
+        self.can_id: int = 0  # 0: it does not exist
+        self.is_synchronous: bool = False
+        self.mapping: PdoMapping = PdoMapping([])
+        self.latched: bytes = b""
+        self.event_ns: int = 0  # 0: no event timer
         self.deadline_ns: int = NEVER
         self._emcy = emcy
         self._outbox = outbox
@@ -154,11 +154,11 @@ class Tpdo:
     ) -> None:
         self.parameters = parameters
         self.number = number  # 1..512
-        self.can_id = 0  # 0: it does not exist
-        self.transmission_type = 0xFF
-        self.may_be_asked = False  # by a remote frame
-        self.mapping = PdoMapping([])
-        self.sync_start = 0  # 0: it does not wait for a counter
+        self.can_id: int = 0  # 0: it does not exist
+        self.transmission_type: int = 0xFF
+        self.may_be_asked: bool = False  # by a remote frame
+        self.mapping: PdoMapping = PdoMapping([])
+        self.sync_start: int = 0  # 0: it does not wait for a counter
         self.deadline_ns: int = NEVER
         self._outbox = outbox
         self._host = host

@@ -68,12 +68,16 @@ class PdoMapping:
     """
 
     def __init__(self, entries: list[tuple[Variable | None, int]]) -> None:
-        self.variables = tuple(variable for variable, _ in entries if variable is not None)
-        self.keys = tuple(variable.index << 8 | variable.subindex for variable in self.variables)
+        self.variables: tuple[Variable, ...] = tuple(
+            variable for variable, _ in entries if variable is not None
+        )
+        self.keys: tuple[int, ...] = tuple(
+            variable.index << 8 | variable.subindex for variable in self.variables
+        )
         bits = sum(length for _, length in entries)
         if bits > MAX_BITS:
             raise ValueError(f"PDO mapping: {bits} bits do not fit; the limit is {MAX_BITS}")
-        self.length_bytes = (bits + 7) // 8
+        self.length_bytes: int = (bits + 7) // 8
         layout = _struct_layout(entries)
         self._is_packable = layout is not None
         self._is_unpackable = layout is not None and all(

@@ -23,8 +23,8 @@ class PdoParameters:
     def __init__(self, od: ObjectDictionary, number: int, receive: bool, node_id: int) -> None:
         self._od = od
         self._receive = receive
-        self.communication = (0x1400 if receive else 0x1800) + number
-        self.mapping = (0x1600 if receive else 0x1A00) + number
+        self.communication: int = (0x1400 if receive else 0x1800) + number
+        self.mapping: int = (0x1600 if receive else 0x1A00) + number
         predefined = _PREDEFINED[receive][number] + node_id if number < 4 else INVALID
         follows = predefined != INVALID
         self._cob_id = od.ensure(self.communication, 1, DataType.UNSIGNED32, predefined, follows)

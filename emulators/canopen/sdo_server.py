@@ -94,7 +94,7 @@ class BlockDownload:
     def __init__(self, expected: int | None, has_crc: bool, limit: int) -> None:
         """Expect this many bytes (None: unknown), `limit` at most, with or without a CRC."""
         self.block_size = BLOCK_MAX
-        self.is_complete = False
+        self.is_complete: bool = False
         self.expected = expected
         self._has_crc = has_crc
         self._limit = limit

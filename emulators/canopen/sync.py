@@ -78,10 +78,10 @@ class SyncService:
         self._period_ns = 0
         self._is_active = False  # the NMT state allows sending
         self._is_odd = False  # the last one had a wrong length by 1019h
-        self.can_id = 0x80
-        self.overflow = 0
-        self.counter = 0
-        self.window = SyncWindow()
+        self.can_id: int = 0x80
+        self.overflow: int = 0
+        self.counter: int = 0
+        self.window: SyncWindow = SyncWindow()
         self.deadline_ns: int = NEVER
         period = od.get(0x1006)
         if period is not None:
@@ -185,7 +185,7 @@ class TimeConsumer:
         self._shown = od.get(TIME_OF_DAY)
         self._told_ms: int = -1  # last received time since 1984; -1: none
         self._told_ns = 0
-        self.can_id = 0
+        self.can_id: int = 0
         if self._cob_id is not None:
             self._cob_id.writer = self.check
 

@@ -76,7 +76,7 @@ class PowerDrive:
         tick_ns: int,
         enable_ns: int,
     ) -> None:
-        self.fsa = PdsFsa(PdsState.NOT_READY_TO_SWITCH_ON)
+        self.fsa: PdsFsa = PdsFsa(PdsState.NOT_READY_TO_SWITCH_ON)
         self.error_code: int = NO_FAULT
         self.told: list[int] = []
         self.voltage: bool = True

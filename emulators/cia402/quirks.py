@@ -94,9 +94,9 @@ class Around(Mode):
         return self.inner.idle_bits()
 
     def _copy(self) -> None:
-        self.halted = self.inner.halted
-        self.limited = self.inner.limited
-        self.lost = self.inner.lost
+        self.halted: bool = self.inner.halted
+        self.limited: bool = self.inner.limited
+        self.lost: bool = self.inner.lost
 
 
 @final

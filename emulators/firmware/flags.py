@@ -13,6 +13,7 @@ IN_VELOCITY_WINDOW: Final = 32  # run_at only: actual velocity within the window
 CURRENT_SATURATED: Final = 64  # the current demand exceeds the limit
 CURRENT_REACHED: Final = 128  # apply_current only: ramp finished, current near its target
 OUTSIDE_GATE: Final = 256  # a count is outside the range of set_gate; with or without power
+SPEED_EXCEEDED: Final = 512  # |velocity| beyond the threshold of SPEED_ZERO long enough
 # Nonlinear plants only, with or without power; not latched (see Axis.set_thresholds).
 OVER_VOLTAGE: Final = 1 << 16  # the DC link is above its threshold
 UNDER_VOLTAGE: Final = 1 << 17  # the DC link is below its threshold

@@ -50,6 +50,27 @@ Conditions = tuple[float, float, float, float, float, float, float, float, float
 class StepNumbers:
     """Constants of one substep at one winding temperature; `nonlinear_servo` uses the names."""
 
+    ii: float
+    iw: float
+    iv: float
+    it: float
+    wi: float
+    ww: float
+    wv: float
+    wt: float
+    xi: float
+    xw: float
+    xv: float
+    xt: float
+    coast_w: float
+    coast_wt: float
+    coast_x: float
+    coast_xt: float
+    load_w: float
+    load_wt: float
+    load_x: float
+    load_xt: float
+
     def __init__(self, plant: MotorPlant, h: float, step_s: float, resistance_ohm: float) -> None:
         """Compute all constants; the function is long because it is a list of numbers."""
         extras = plant.extras

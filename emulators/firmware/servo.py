@@ -40,6 +40,7 @@ from motorhil.emulators.firmware.flags import (
     OUTSIDE_GATE,
     POWERED,
     PROFILE_ACTIVE,
+    SPEED_EXCEEDED,
     SPEED_ZERO,
 )
 from motorhil.emulators.firmware.profile import UNLIMITED, Profile
@@ -54,8 +55,8 @@ FED: Final = 4  # POSITION with the pieces' velocities fed forward unchanged
 # powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
 # velocity loop, current demand; counts of this tick and the three before; position and velocity
 # demand; measured velocity; flags; ticks in the target window, beyond the following error window,
-# below the speed threshold, in the velocity window (each counts up to its limit); the additional
-# state of a nonlinear plant (see nonlinear_servo; empty for a linear one).
+# within the speed threshold (< 0: beyond it), in the velocity window (each counts up to its limit);
+# the additional state of a nonlinear plant (see nonlinear_servo; empty for a linear one).
 State = tuple[
     bool,
     float,
@@ -431,11 +432,14 @@ def run(  # noqa: C901, PLR0913 -- hot loop: a call costs a row of the map
                     in_velocity = 0
         if -slow <= velocity <= slow:
             if still < need_z:
-                still += 1
+                still = still + 1 if still > 0 else 1
             if still >= need_z:
                 flags |= SPEED_ZERO
         else:
-            still = 0
+            if still > -need_z:
+                still = still - 1 if still < 0 else -1
+            if still <= -need_z:
+                flags |= SPEED_EXCEEDED
         if c0 < gate_low or c0 >= gate_high:  # a chained comparison compiles to slower code
             flags |= OUTSIDE_GATE
         if watch and flags != watched:

@@ -156,8 +156,8 @@ class ServoTables:
         self._blocked_powers = powers(self._blocked_step(), current_steps)
         self._coasting = sample(plant, tick_ns / 1e9 / clock_rate).coasting
         self._voltage_guard, self._speed_guard = self._moving_guards()
-        self.tick = self._tick_table(gains, tick_ns / 1e9)
-        self.step = self._step_table()
+        self.tick: TickTable = self._tick_table(gains, tick_ns / 1e9)
+        self.step: StepTable = self._step_table()
 
     def load(self, load_torque_n_m: float) -> LoadTable:
         """Return the effects of a constant load torque at the output, ordered as in `servo.run`."""

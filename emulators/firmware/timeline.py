@@ -62,10 +62,10 @@ class Timeline:
         self._windows: servo.Windows = windows
         self._orders: servo.Orders = orders
 
-        self.tick = 0
+        self.tick: int = 0
         self.state: servo.State = state
-        self.resting = False
-        self.commands = 0
+        self.resting: bool = False
+        self.commands: int = 0
 
         self._ahead_tick = 0
         self._ahead: servo.State = state

@@ -253,7 +253,7 @@ class HubServer:
         Raises:
             HubError: the path is taken by a running hub, is not a socket, or cannot be created.
         """
-        self.path = Path(path)
+        self.path: Path = Path(path)
         self._world = world
         self._fences = _Fences()
         self._clients: dict[socket.socket, _Client] = {}

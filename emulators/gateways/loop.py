@@ -56,7 +56,7 @@ class WallLoop:
         self._descriptors: list[int] = []  # both together
         self._last: list[Sequence[Source]] = []  # sources of each gateway in the last step
         self._start_ns = time.monotonic_ns() - queue.now_ns
-        self.late_ns_max = 0
+        self.late_ns_max: int = 0
 
     def add(self, gateway: Gateway) -> None:
         """Add a gateway."""

@@ -52,7 +52,7 @@ class ModbusPty:
         segment = world.line(line)
         assert isinstance(segment, SerialSegment)
         self.link: Final = link
-        self.lost = 0
+        self.lost: int = 0
         self._line = segment.line
         self._queue = world.queue
         self._silence_ns = max(_SILENCE_NS, self._line.t35_ns)

@@ -96,8 +96,8 @@ class SocketCanGateway:
             SocketCanError: the interface does not exist or is down, or this kernel has no CAN; or
                 the bus is an FD bus and the interface is not.
         """
-        self.refused = 0
-        self.ignored = 0
+        self.refused: int = 0
+        self.ignored: int = 0
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:

@@ -123,7 +123,7 @@ class LeadshinePr(ModbusDrive):
         self._jog_until_ns = NEVER_NS
         self._command_done = True
         self._path_done = True
-        self.is_homed = False
+        self.is_homed: bool = False
         self._bind()
 
     def _bind(self) -> None:

@@ -88,11 +88,11 @@ class SerialLine:
         fast = baud > _FAST_BIT_S
         self.t15_ns: Final = _T15_NS if fast else 3 * self._bits * _NS // (2 * baud)
         self.t35_ns: Final = _T35_NS if fast else 7 * self._bits * _NS // (2 * baud)
-        self.characters = 0
-        self.frames = 0
-        self.spoiled = 0
-        self.collisions = 0
-        self.busy_ns = 0
+        self.characters: int = 0
+        self.frames: int = 0
+        self.spoiled: int = 0
+        self.collisions: int = 0
+        self.busy_ns: int = 0
         self._plan: Final = faults
         self._names: list[str] = []
         self._free_ns: list[int] = []  # when each port has sent all it was given

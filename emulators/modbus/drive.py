@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from motorhil.emulators.controller import Controller, ControllerContext
-from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.modbus.codes import UNITS
@@ -156,21 +156,21 @@ class ModbusDrive:
         identification: Identification | None,
         functions: Sequence[int],
     ) -> None:
-        self.unit = settings.unit
+        self.unit: int = settings.unit
         self.settings = settings
         self.bank = bank
         plant = settings.plant
-        self.turn_inc = round(plant.increments_per_rad() * 2.0 * PI)  # in front of the gear
-        self.axis = axis_of(settings, settings.oscillator.rate())
-        self.server = ModbusServer(
+        self.turn_inc: int = round(plant.increments_per_rad() * 2.0 * PI)  # in front of the gear
+        self.axis: Axis = axis_of(settings, settings.oscillator.rate())
+        self.server: ModbusServer = ModbusServer(
             holding=bank,
             identification=identification,
             diagnostics=Diagnostics(),
             functions=functions,
         )
-        self.rtu = RtuUnit(settings.unit, self.server, settings.reply_ns)
-        self.is_powered = False
-        self.now_ns = 0  # of the current call, for readers and writers of registers
+        self.rtu: RtuUnit = RtuUnit(settings.unit, self.server, settings.reply_ns)
+        self.is_powered: bool = False
+        self.now_ns: int = 0  # of the current call, for readers and writers of registers
         self._ready_ns = NEVER_NS
         self._events: list[tuple[str, str]] = []
         self._set_registers()

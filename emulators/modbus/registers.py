@@ -291,7 +291,7 @@ class BitBank:
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names: Final = tuple(names)
-        self.values = [False] * len(names)
+        self.values: list[bool] = [False] * len(names)
         self._writers: dict[int, Callable[[bool], int]] = {}
 
     def on_write(self, name: str, writer: Callable[[bool], int]) -> None:

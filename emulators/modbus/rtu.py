@@ -90,7 +90,7 @@ class RtuUnit:
             )
         self.unit: Final = unit
         self.server: Final = server
-        self.ignored = 0
+        self.ignored: int = 0
         self._reply_ns: Final = reply_ns
         self._request = b""
         self._due_ns: int | None = None

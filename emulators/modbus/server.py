@@ -73,13 +73,13 @@ class Diagnostics:
     """
 
     def __init__(self) -> None:
-        self.restarts_counted = 0
+        self.restarts_counted: int = 0
         self.begin()
 
     def begin(self) -> None:
         """Restart communication: clear the counters and leave listen-only."""
         self.clear()
-        self.listens_only = False
+        self.listens_only: bool = False
 
     def clear(self) -> None:
         """Clear the counters."""
@@ -88,7 +88,7 @@ class Diagnostics:
         self.exceptions = 0
         self.server_messages = 0
         self.no_responses = 0
-        self.overruns = 0
+        self.overruns: int = 0
 
     def restarts(self, request: bytes) -> bool:
         """Return whether the request ends the listen-only state."""

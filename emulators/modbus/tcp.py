@@ -107,8 +107,8 @@ class TcpGateway:
     """
 
     def __init__(self, timeout_ns: int = GATEWAY_TIMEOUT_NS) -> None:
-        self.requests = 0
-        self.timeouts = 0
+        self.requests: int = 0
+        self.timeouts: int = 0
         self._timeout_ns: Final = timeout_ns
         self._queues: dict[int, deque[_Pending]] = {}
         self._owed_until_ns: dict[int, int] = {}  # by unit that timed out and may still respond

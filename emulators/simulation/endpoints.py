@@ -77,7 +77,7 @@ class ControllerSlot(Endpoint):
         self._revision = controller.identifiers_revision()
         self._expired_ns = UNSET
         self._again = 0  # how often it was called at that time without moving on
-        self.touched = False
+        self.touched: bool = False
         self.sample: Mapping[str, float] = {}
 
     def deliver(self, frame: bytes, now_ns: int) -> None:

@@ -24,8 +24,8 @@ class Alarm:
     def __init__(self, queue: "EventQueue", action: Action) -> None:
         self._queue = queue
         self.action = action
-        self.time_ns = UNSET
-        self.turn = UNSET
+        self.time_ns: int = UNSET
+        self.turn: int = UNSET
 
     def set(self, time_ns: int | None) -> None:
         """Run the action at `time_ns` [ns], or not at all (None); replaces the previous setting.
@@ -80,7 +80,7 @@ class EventQueue:
     """
 
     def __init__(self) -> None:
-        self.now_ns = 0
+        self.now_ns: int = 0
         self.asked = 0
         self.first: Alarm | None = None  # before all in the heap; None: the first in the heap
         self.heap: list[tuple[int, int, Alarm]] = []  # includes alarms that were reset since

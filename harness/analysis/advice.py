@@ -32,6 +32,7 @@ from motorhil.motorapi.synchronization.can_response_time import (
     BusLoad,
     Effort,
     ErrorModel,
+    Lateness,
     Message,
     are_in_time,
     response_between,
@@ -280,14 +281,18 @@ def shortest_error_interval_ns(
     burst alone makes a message late.
     """
     effort = Effort() if effort is None else effort
-    if not are_in_time(load, ErrorModel(burst), effort):
-        return None
+    lateness: Lateness = {}  # of the shortest interval that is tolerated
+
+    def is_tolerated(interval_ns: int | None) -> bool:
+        errors = ErrorModel(burst, interval_ns)
+        return are_in_time(load, errors, effort, lateness=lateness)
+
     low, high = 0, _INTERVAL_MAX_NS // _STEP_NS  # not tolerated, tolerated
-    if not are_in_time(load, ErrorModel(burst, high * _STEP_NS), effort):
+    if not is_tolerated(None) or not is_tolerated(high * _STEP_NS):
         return None
     while high - low > max(1, low // 1_000):
         middle = (low + high) // 2
-        if are_in_time(load, ErrorModel(burst, middle * _STEP_NS), effort):
+        if is_tolerated(middle * _STEP_NS):
             high = middle
         else:
             low = middle
@@ -351,15 +356,16 @@ def tolerances(load: BusLoad, effort: Effort | None = None) -> tuple[Tolerance, 
     timed = [one for one in load.messages if one.deadline_ns is not None]
     low: dict[int, int] = {one.rank: -1 for one in timed}  # tolerated
     high: dict[int, int] = {one.rank: ERRORS_MAX + 1 for one in timed}  # not tolerated
-    asked: set[int] = set()
+    asked: dict[int, Lateness] = {}
     while True:
         open_ranks = [rank for rank in low if high[rank] - low[rank] > 1]
         if not open_ranks:
             break
         errors = _next_burst(low[open_ranks[0]], high[open_ranks[0]])
         assert errors not in asked
-        asked.add(errors)
-        for one in response_times(load, ErrorModel(errors), effort):
+        fewer = max((number for number in asked if number < errors), default=None)
+        lateness = asked[errors] = {} if fewer is None else dict(asked[fewer])
+        for one in response_times(load, ErrorModel(errors), effort, lateness, open_ranks):
             rank = one.message.rank
             if one.is_in_time and errors > low.get(rank, errors):
                 low[rank] = errors

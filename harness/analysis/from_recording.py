@@ -23,6 +23,7 @@ from motorhil.traces.can_frame import BRS, EFF, EFF_MASK, ERR, RTR
 from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.decoding.canopen import is_sdo, usual_name
 from motorhil.traces.errors import TraceError
+from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import read_trace
@@ -75,7 +76,7 @@ class RecordedBus:
 
     def __init__(self, name: str, frames_max: int | None = None) -> None:
         """Start without frames; `frames_max` bounds the memory, None does not."""
-        self.left_out = 0
+        self.left_out: int = 0
         self._name = name
         self._room = -1 if frames_max is None else frames_max
         self._heard: dict[int, Heard] = {}
@@ -351,6 +352,7 @@ def subjects_of_recording(
     bitrates: Mapping[str, int],
     data_bitrates: Mapping[str, int],
     fifo: bool | None = None,
+    memory_max: int = MEMORY_MAX,
 ) -> list[Subject]:
     """Return every CAN bus of the recording, ordered by name.
 
@@ -359,11 +361,12 @@ def subjects_of_recording(
         bitrates: bit rates of buses [bit/s]; they take precedence over the recording's.
         data_bitrates: the same for the data bit rate of CAN FD [bit/s].
         fifo: True if every known sender has a first-in-first-out queue; None: as in its rig.
+        memory_max: the most bytes that are made of one compressed piece of it.
 
     Raises:
         TraceError: the recording cannot be read, or a bit rate is unknown.
     """
-    source = open_source(path)
+    source = open_source(path, memory_max)
     names, facts = _told(source)
     told = facts.bitrates
     found = Findings()
@@ -405,7 +408,7 @@ def _told(source: Source) -> tuple[RecordedNames, RigFacts]:
     """Return the names of nodes and the bit rates that the recording contains."""
     if source.format != "mcap":
         return RecordedNames(), RigFacts()
-    with read_trace(source.path) as trace:
+    with read_trace(source.path, source.memory_max) as trace:
         return names_of(trace.attachments), facts_of(trace.attachments)
 
 

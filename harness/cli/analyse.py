@@ -18,7 +18,7 @@ from motorhil.harness.analysis.text import (
     sync_drifts,
 )
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED
-from motorhil.harness.cli.options import identifier, print_table, real, whole
+from motorhil.harness.cli.options import add_max_memory, identifier, print_table, real, whole
 from motorhil.harness.cli.report import add_bit_rates
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.synchronization.can_response_time import ErrorModel, Message
@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="probability of a bit error: adds the probability of late messages",
     )
     _add_assumptions(parser)
+    add_max_memory(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--plot", type=Path, metavar="SVG", help="also draw the response times")
 
@@ -131,7 +132,7 @@ def _subjects(options: argparse.Namespace) -> list[Subject]:
     if options.sync is not None or options.streamed:
         raise RigError(options.file, "--sync and --streamed are for rigs", "leave them out")
     rates, data_rates = dict(options.bitrate), dict(options.data_bitrate)
-    return subjects_of_recording(options.file, rates, data_rates, fifo)
+    return subjects_of_recording(options.file, rates, data_rates, fifo, options.max_memory)
 
 
 def _with_options(subject: Subject, options: argparse.Namespace) -> Subject:

@@ -1,4 +1,4 @@
-"""The verb `conform`: checks an adaptation against the motor interface.
+"""The verb `conform`: checks an adaptation against the motor interface, or a drive against CiA 402.
 
 Each clause of the kit is checked on a bench of its own, in another process, so that an adaptation
 cannot end the run. A clause that fails is checked again with the same seed, and that run is
@@ -26,13 +26,15 @@ from motorhil.settings import listed, nearest
 if TYPE_CHECKING:
     from motorhil.harness.conformance.examination import Finding
     from motorhil.harness.conformance.results import Outcome
-    from motorhil.harness.conformance.worker import Promise, Supervisor
+    from motorhil.harness.conformance.worker import Loaded, Promise, Supervisor
 
 _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
 are kept, 1 one is not, 2 wrong usage, 3 no clause was applicable.
 """
 _STDOUT: Final = Path("-")
+_SOME, _ALL, _OWN = "some", "all", "own"
+_NAMED: Final = 6
 _RECORDS: Final = Path("out", "conform")
 
 
@@ -43,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--adaptation",
         metavar="NAME",
         help="from `motorhil list adaptations`, or package.module:function",
+    )
+    parser.add_argument(
+        "--controller",
+        metavar="NAME",
+        help="check a drive of the rig against CiA 402; without --rig: `drive`, an emulated one",
     )
     parser.add_argument("--rig", metavar="RIG", help="a rig file with motors of this adaptation")
     parser.add_argument("--level", type=level_of, metavar="L3", help="all clauses up to this level")
@@ -55,6 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[BUS=]WHERE",
         help="the rig's motors are on real buses: a SocketCAN interface, the socket of `motorhil "
         "serve`, interface:channel of python-can; a Modbus line: a device, or host:port",
+    )
+    parser.add_argument(
+        "--benches",
+        metavar="WHICH",
+        default=_SOME,
+        help='"some": most clauses run on variations of the kit\'s rig, chosen by the seed '
+        '(default); "own": all on the rig as it is; "all": all on every variation; or a name',
     )
     add_seed(parser)
     parser.add_argument(
@@ -104,18 +118,22 @@ def run(options: argparse.Namespace) -> int:
 
     if options.list:
         return _list(options)
-    if options.adaptation is None and options.rig is None:
-        print(
-            "motorhil conform: no adaptation named; use --adaptation NAME, --rig RIG, or both",
-            file=sys.stderr,
-        )
+    wrong = _wrong_target(options)
+    if wrong:
+        print(f"motorhil conform: {wrong}", file=sys.stderr)
         return WRONG_USAGE
     for file in (options.json, options.junit, options.html):
         if file is not None and file != _STDOUT:
             _require_writable(file)
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # finds modules that are not installed yet
-    job = Job(options.adaptation or "", options.rig or "", options.seed, tuple(options.on or ()))
+    job = Job(
+        options.adaptation or "",
+        options.rig or "",
+        options.seed,
+        tuple(options.on or ()),
+        options.controller or "",
+    )
     words = redirect_stdout(sys.stderr) if options.json == _STDOUT else nullcontext()
     try:
         with ends_by_signal(), Supervisor(job) as supervisor, words:
@@ -133,6 +151,17 @@ def run(options: argparse.Namespace) -> int:
         print("motorhil conform: no clause was applicable, so nothing was tested", file=sys.stderr)
         return NOT_JUDGED
     return PASSED if outcome.passed else FAILED
+
+
+def _wrong_target(options: argparse.Namespace) -> str:
+    """Return the error in the choice of what is tested; "" if there is none."""
+    if options.controller is not None and options.adaptation is not None:
+        return "--controller checks a drive, --adaptation a host; leave one of them out"
+    if options.controller is None and options.adaptation is None and options.rig is None:
+        return (
+            "no adaptation named; use --adaptation NAME, --rig RIG, or both; or --controller NAME"
+        )
+    return ""
 
 
 def _require_writable(file: Path) -> None:
@@ -172,10 +201,12 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
 
 def _list(options: argparse.Namespace) -> int:
     from motorhil.harness.cli.options import print_table
+    from motorhil.harness.conformance.drives.kit import drive_clauses
     from motorhil.harness.conformance.kit import all_clauses
     from motorhil.harness.conformance.worker import Promise
 
-    known = [Promise(one.id, one.level, one.promise, one.source) for one in all_clauses().values()]
+    clauses = drive_clauses() if options.controller is not None else all_clauses()
+    known = [Promise(one.id, one.level, one.promise, one.source) for one in clauses.values()]
     rows = [(one.id, f"L{one.level}", one.promise, one.source) for one in _chosen(options, known)]
     head = ("clause", "level", "promise", "source")
     if options.json is not None:
@@ -189,6 +220,7 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     """Check the clauses, print each result as it comes, and return the outcome."""
     from motorhil.harness.conformance.examination import Examiner
     from motorhil.harness.conformance.results import Outcome
+    from motorhil.harness.conformance.variations import not_met
     from motorhil.harness.conformance.worker import CannotTestError
 
     chosen = _chosen(options, supervisor.loaded.clauses)
@@ -197,9 +229,10 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
     line = StatusLine()
-    for number, promise in enumerate(chosen, 1):
-        line.show(f"{promise.id} ({number} of {len(chosen)})")
-        finding = examiner.examine(promise)
+    pairs = _pairs(options.benches, chosen, supervisor.loaded)
+    for number, (promise, bench) in enumerate(pairs, 1):
+        line.show(f"{promise.id} ({number} of {len(pairs)})")
+        finding = examiner.examine(promise, bench, is_required=options.benches != _SOME)
         first_s = first_s or _running_s()
         line.clear()
         _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
@@ -211,13 +244,43 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     except CannotTestError as error:
         print(f"motorhil conform: {error}", file=sys.stderr)
         claims = None
-    return Outcome(supervisor.loaded, findings, claims, first_s, _running_s())
+    missing = not_met(supervisor.loaded.variations, {one.variation for one in findings})
+    return Outcome(supervisor.loaded, findings, claims, first_s, _running_s(), tuple(missing))
+
+
+def _pairs(
+    which: str, chosen: "Sequence[Promise]", loaded: "Loaded"
+) -> "list[tuple[Promise, str]]":
+    """Return the clauses to check, each with the variation of the rig.
+
+    Raises:
+        RigError: there is no such variation.
+    """
+    from motorhil.harness.conformance.variations import OWN, assigned
+
+    names = loaded.variations
+    if which == _ALL:
+        return [(promise, name) for promise in chosen for name in (OWN, *names)]
+    if which == _OWN:
+        return [(promise, OWN) for promise in chosen]
+    if which == _SOME:
+        by_clause = assigned([one.id for one in loaded.clauses], names, loaded.seed)
+        return [(promise, by_clause[promise.id]) for promise in chosen]
+    if which not in names:
+        known = (_SOME, _ALL, _OWN, *names)
+        remedy = nearest(which, list(known))
+        if not remedy.startswith("did"):
+            remedy = f"one of {listed(known)}"
+        raise RigError(f"--benches {which}", "this rig has no such variation", remedy)
+    return [(promise, which) for promise in chosen]
 
 
 def _command(options: argparse.Namespace) -> list[str]:
     words = ["motorhil", "conform"]
     if options.adaptation is not None:
         words += ["--adaptation", options.adaptation]
+    if options.controller is not None:
+        words += ["--controller", options.controller]
     if options.rig is not None:
         words += ["--rig", options.rig]
     for where in options.on or ():
@@ -245,8 +308,6 @@ def _print_finding(
         first_of: the first clause of each bad finding so far, which this one is added to.
         in_colours: the result has its colour.
     """
-    from motorhil.harness.conformance.causes import more_of
-
     verdict = one.verdict
     text = verdict.seen or one.promise.promise
     first = one.promise.id
@@ -261,19 +322,29 @@ def _print_finding(
         sys.stdout.flush()
         return
     print(f"{one.promise.id:<10}{result}{verdict.time_ns / 1e9:8.3f} s  {one_line(text)}")
-    for line in more_of(one):
-        print(f"{'':<10}{one_line(line)}")
     sys.stdout.flush()
 
 
 def _print_summary(outcome: "Outcome") -> None:
+    from motorhil.harness.conformance.causes import groups_of, summary_of
     from motorhil.harness.conformance.clause import Result
 
+    groups = groups_of(outcome.findings)
+    if groups:
+        print("\nTo mend, the first one first:")
+    for line in summary_of(groups):
+        print(line[: len(line) - len(line.lstrip())] + one_line(line.strip()))
     counts = [(outcome.count(result), result) for result in Result]
     results = ", ".join(f"{count} {result.value}" for count, result in counts if count)
     took = f"first verdict after {outcome.first_verdict_s:.2f} s, the last {outcome.took_s:.2f} s"
     clauses = "1 clause" if len(outcome.findings) == 1 else f"{len(outcome.findings)} clauses"
     print(f"\n{clauses}: {results or 'none'}; {took}")
+    if outcome.loaded.variations:
+        more = len(outcome.not_met) - _NAMED
+        tail = f" and {more} more" if more > 0 else ""
+        print(f"not met: {', '.join(outcome.not_met[:_NAMED])}{tail}")
+    else:
+        print("benches: the rig as it is, not varied")
     if outcome.claims is not None:
         claimed = [name for name, why_not in outcome.claims.items() if not why_not]
         print(f"claimed: {listed(claimed)}")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, PASSED
-from motorhil.harness.cli.options import real, whole
+from motorhil.harness.cli.options import add_max_memory, real, whole
 from motorhil.harness.cli.show import text_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.replay.verdict import meaning_in
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="lines of context (default 3)",
     )
+    add_max_memory(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -64,7 +65,10 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.exact:
         return _exact(options)
-    first, second = (meaning_in(path, "diff") for path in (options.first, options.second))
+    first, second = (
+        meaning_in(path, "diff", memory_max=options.max_memory)
+        for path in (options.first, options.second)
+    )
     tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
     found = differences(first, second, tolerance)
     for path, meaning in ((options.first, first), (options.second, second)):
@@ -80,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _exact(options: argparse.Namespace) -> int:
-    mismatch = first_mismatch(options.first, options.second)
+    mismatch = first_mismatch(options.first, options.second, options.max_memory)
     if options.json:
         place = None if mismatch is None else mismatch.number
         print(json.dumps({"same": mismatch is None, "message": place}))
@@ -96,15 +100,18 @@ def _print_difference(options: argparse.Namespace, difference: Difference) -> No
     for path, item in sides:
         time_ns = difference.time_ns if item is None else item.time_ns
         print(f"\n{path}:")
-        for line in _around(path, difference, time_ns, options.context):
+        for line in _around(options, path, difference, time_ns):
             mark = ">" if item is not None and line.time_ns == item.time_ns else " "
             print(f"{mark}{text_of(line)}")
 
 
-def _around(path: str, difference: Difference, time_ns: int, count: int) -> Sequence[Line]:
+def _around(
+    options: argparse.Namespace, path: str, difference: Difference, time_ns: int
+) -> Sequence[Line]:
+    count: int = options.context
     before: deque[Line] = deque(maxlen=count)
     after: list[Line] = []
-    with open_recording(path) as trace:
+    with open_recording(path, memory_max=options.max_memory) as trace:
         story = Story(trace)
         begin_ns = max(0, time_ns - _AROUND_NS)
         for line in story.lines(begin_ns, time_ns + _AROUND_NS):

@@ -6,7 +6,6 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +18,7 @@ from motorhil.harness.cli.options import (
     attachments_of,
     print_table,
 )
-from motorhil.harness.cli.printable import has_colours
+from motorhil.harness.cli.printable import has_colours, teller
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
@@ -91,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
         facts = facts.with_more(read_rig(options.rig))
-    tell = partial(print, "motorhil judge:", file=sys.stderr)
+    tell = teller("judge")
     source = open_source(options.file, options.max_memory)
     attachments = _note_truncation(source)
     describe = description_for(attachments, options.dbc, options.decoder, tell)

@@ -1,9 +1,9 @@
 """The command `motorhil`: one verb per module, loaded when it is used.
 
 Exit status, the same for every verb: 0 passed, 1 the thing under test failed, 2 wrong usage, 3
-nothing could be judged, 130 interrupted. Results go to stdout, reasons to stderr. The module of a
-verb has `add_arguments(parser)` and `run(arguments)`. Words after `--` on the command line are
-`arguments.rest`, which is None without `--`.
+nothing could be judged, 130 interrupted, 141 the reader of its results left. Results go to stdout,
+reasons to stderr. The module of a verb has `add_arguments(parser)` and `run(arguments)`. Words
+after `--` on the command line are `arguments.rest`, which is None without `--`.
 """
 
 import argparse
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
+from io import TextIOWrapper
 from typing import Final, final
 
 from motorhil.harness.cli.printable import printable, printable_streams
@@ -24,7 +25,8 @@ PASSED: Final = 0
 FAILED: Final = 1  # the thing under test failed
 WRONG_USAGE: Final = 2
 NOT_JUDGED: Final = 3  # there was nothing to test: neither passed nor failed
-INTERRUPTED: Final = 130
+INTERRUPTED: Final = 130  # 128 and SIGINT, as of a shell
+READER_LEFT: Final = 141  # 128 and SIGPIPE
 
 
 _NO_PLACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -140,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output has left
         _drop_output()
-        return FAILED
+        return READER_LEFT
     except OSError as error:
         if error.filename is not None or error.errno not in _NO_PLACE:
             raise
@@ -151,14 +153,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return WRONG_USAGE
+    if isinstance(sys.stdout, _NoOutput) and sys.stdout.is_missed:
+        print(
+            "motorhil: standard output is closed, and its results are lost; send it to a file or "
+            "a pipe",
+            file=sys.stderr,
+        )
+        return status or WRONG_USAGE
     return status
+
+
+@final
+class _NoOutput(TextIOWrapper):
+    """The null device in place of a closed standard output.
+
+    Attributes:
+        is_missed: True if results were printed.
+    """
+
+    is_missed = False
+
+    def write(self, text: str) -> int:
+        self.is_missed = True
+        return super().write(text)
 
 
 def _open_standard_streams() -> None:
     """Open the null device for each standard stream that the process lacks."""
-    for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+    if sys.stdin is None:
+        sys.stdin = open(os.devnull)  # noqa: SIM115  # for the rest of the process
+    if sys.stdout is None:
+        sys.stdout = _NoOutput(open(os.devnull, "wb"))  # noqa: SIM115  # likewise
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115  # likewise
 
 
 def _drop_output() -> None:
@@ -239,6 +266,8 @@ def _run_verb(verb: _Verb, words: list[str]) -> int:
         except (RigError, TraceError) as error:
             print(printable(str(error)), file=sys.stderr)
             return WRONG_USAGE
+    if verb.is_terminal and isinstance(sys.stdout, _NoOutput):
+        sys.stdout.is_missed = False  # it may have been what a program prints
     return status
 
 

@@ -82,7 +82,8 @@ def _no_time(text: str) -> argparse.ArgumentTypeError:
 
 
 def _wrong(text: str, what: str, low: float, high: float, unit: str) -> argparse.ArgumentTypeError:
-    words = f"{text!r} is not {what} from {low:g} to {high:g} {unit}".rstrip()
+    limits = " to ".join(str(one) if isinstance(one, int) else f"{one:g}" for one in (low, high))
+    words = f"{text!r} is not {what} from {limits} {unit}".rstrip()
     return argparse.ArgumentTypeError(words)
 
 
@@ -103,7 +104,7 @@ def add_max_memory(parser: argparse.ArgumentParser) -> None:
         type=_mebibytes,
         default=MEMORY_MAX,
         metavar="MIB",
-        help="most memory for one compressed piece of a file (default"
+        help="most memory for one compressed piece of a file, or content of a .gz (default"
         f" {MEMORY_MAX >> 20} MiB); a hostile file would take any",
     )
 

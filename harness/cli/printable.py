@@ -7,7 +7,7 @@ would move the cursor, colour or hide lines, or answer to the shell.
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final, TextIO, cast, final
 
@@ -45,6 +45,15 @@ class _Printable:
 
     def __getattr__(self, name: str) -> Any:  # Any: whatever the stream has
         return getattr(self._stream, name)
+
+
+def teller(verb: str) -> Callable[[str], None]:
+    """Return a function that prints a sentence on stderr at once, in the name of this verb."""
+
+    def tell(text: str) -> None:
+        print(f"motorhil {verb}:", text, file=sys.stderr, flush=True)
+
+    return tell
 
 
 def has_colours(choice: str, stream: TextIO) -> bool:

@@ -29,7 +29,7 @@ class StatusLine:
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.__stderr__ if stream is None else stream
         self._is_shown = False
-        self.is_terminal = self._stream is not None and self._stream.isatty()
+        self.is_terminal: bool = self._stream is not None and self._stream.isatty()
 
     def show(self, text: str) -> None:
         """Replace the line by this text."""

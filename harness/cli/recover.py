@@ -7,6 +7,7 @@ import sys
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
+from motorhil.harness.cli.options import add_max_memory
 
 _NS: Final = 1_000_000_000
 
@@ -16,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="a recording (MCAP), cut or damaged")
     parser.add_argument("-o", "--output", required=True, metavar="WHOLE", help="file to write")
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
+    add_max_memory(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -30,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
 
     size = os.path.getsize(options.file) if os.path.isfile(options.file) else None
     with following("recover", [options.output], size):  # it maps the file, and writes as it reads
-        done = recover(options.file, options.output, options.force)
+        done = recover(options.file, options.output, options.force, options.max_memory)
     span_ns = (done.last_ns or 0) - (done.first_ns or 0)
     if options.json:
         losses = [

@@ -13,13 +13,13 @@ import sys
 import tempfile
 from contextlib import ExitStack, contextmanager
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import (
     add_eds,
+    add_max_memory,
     add_seed,
     attachments_of,
     identifier,
@@ -27,6 +27,7 @@ from motorhil.harness.cli.options import (
     real,
     whole,
 )
+from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine, following
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.rig.config.toml import RigError
@@ -90,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", type=Path, metavar="RIG", help="a rig file (default: the recording's own rig)"
     )
     add_eds(parser)
+    add_max_memory(parser)
     parser.add_argument(
         "--set-points",
         choices=("exact", "any"),
@@ -202,8 +204,9 @@ def run(options: argparse.Namespace) -> int:
     if options.output is not None:
         refuse_source(options.file, options.output)
     options.named = options.file
-    tell = partial(print, "motorhil replay:", file=sys.stderr)
-    with as_mcap(options.file, tell, attachments_of(options.eds)) as options.file:
+    tell = teller("replay")
+    attachments = attachments_of(options.eds)
+    with as_mcap(options.file, tell, attachments, options.max_memory) as options.file:
         try:
             status: int = _MODES[options.mode](options)
         except RigError as error:  # the user knows only the file that was converted
@@ -442,7 +445,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
     with following("replay", [options.file]):
         found = survey(_frames(options, choice, findings))
     for _, problem in findings.problems[:_TRAFFIC_SHOWN]:
-        print(f"{options.file}: {problem}", file=sys.stderr)
+        print(f"{options.named}: {problem}", file=sys.stderr)
     if not found.frames:
         raise RigError(options.file, "holds no CAN frame to send", "change or drop the filters")
     with ExitStack() as cleanup:
@@ -454,7 +457,7 @@ def replay_traffic(options: argparse.Namespace) -> int:
             return WRONG_USAGE
         for bus, count in found.frames.items():
             if bus not in sinks:
-                print(f"{options.file}: {count} frames of {bus} are not sent", file=sys.stderr)
+                print(f"{options.named}: {count} frames of {bus} are not sent", file=sys.stderr)
         speed = options.speed or 1.0
         scale = None if math.isinf(speed) else Fraction(speed)
         replay = TrafficReplay(sinks, runtime, found.first_ns, scale)
@@ -479,7 +482,7 @@ def _choice(options: argparse.Namespace) -> "Choice":
     def chosen(values: "list[str] | list[int] | None") -> "tuple[object, ...] | None":
         return None if values is None else tuple(values)
 
-    tell = partial(print, "motorhil replay:", file=sys.stderr)
+    tell = teller("replay")
     span = span_in(options.file, options)
     from_ns, to_ns = span_of(options, options.named, span, tell)
     return Choice(
@@ -516,7 +519,7 @@ def _open(
     interface: dict[str, object] = {"bitrate": options.bitrate} if options.bitrate else {}
     if options.fd:
         interface["fd"] = True
-    note = partial(print, "motorhil replay:", file=sys.stderr, flush=True)
+    note = teller("replay")
     sinks: dict[str, Sink] = {}
     for name, place in places_of_buses(options.on, buses).items():
         if rig is not None:
@@ -600,7 +603,7 @@ def _print_traffic_result(
         print(json.dumps(facts))
         return
     for bus, count in done.errors.items():
-        print(f"{options.file}: {count} error frames of {bus} cannot be sent", file=sys.stderr)
+        print(f"{options.named}: {count} error frames of {bus} cannot be sent", file=sys.stderr)
     each = ", ".join(f"{n} of {bus} to {sinks[bus].name}" for bus, n in done.sent.items())
     each = each.replace(" of", " frames of", 1) or "nothing"
     text = f"{each} in {took_s:.3f} s, recorded in {found.span_ns / _NS:.3f} s"

@@ -5,12 +5,12 @@ import json
 import os
 import sys
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_descriptions, add_eds, add_max_memory, attachments_of
+from motorhil.harness.cli.printable import teller
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import whole_file
 
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     from motorhil.harness.report.page import render
 
     target = options.output or Path(options.file).with_suffix(".html")
-    tell = partial(print, "motorhil report:", file=sys.stderr)
+    tell = teller("report")
     attachments = attachments_of(options.eds)
     with open_recording(options.file, tell, attachments, options.max_memory) as trace:
         _refuse_lost(options.file, target, options.foxglove_layout)

@@ -28,6 +28,7 @@ from can.interfaces import BACKENDS
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_seed, time_ns
+from motorhil.harness.cli.printable import teller
 from motorhil.harness.python_can.bus import EmulatedBus, bus_names
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName
@@ -246,7 +247,7 @@ def run_judged(
     """
     from motorhil.harness.replay.verdict import never_came, summary, unanswered
 
-    tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
+    tell = teller(verb)
     try:
         with rig:
             if script is None:

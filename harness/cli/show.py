@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
-from functools import partial
 from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
@@ -19,6 +18,7 @@ from motorhil.harness.cli.options import (
     identifier,
     whole,
 )
+from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.recording.decoders import description_for
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TraceError: the file cannot be read, or is damaged.
     """
-    tell = partial(print, "motorhil show:", file=sys.stderr)
+    tell = teller("show")
     attachments = attachments_of(options.eds)
     with open_recording(options.file, tell, attachments, options.max_memory) as trace:
         told = trace.attachments, options.dbc, options.decoder

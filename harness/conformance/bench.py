@@ -22,6 +22,7 @@ class Ability(Enum):
     FAULT = "cause a drive fault"
     CUT = "cut a drive off the bus for a time"
     LOSE = "lose frames or answers of a drive"
+    LATE = "delay answers of a drive"
     SILENCE_HOST = "drop everything the host sends"
     BUS_ERRORS = "disturb frames on a CAN bus until a node goes bus-off"
     AFRESH = "switch everything off and on again"
@@ -94,6 +95,14 @@ class RigProtocol(Protocol):
         self, motor: Motor, *, skip: int = 0, limit: int | None = None
     ) -> AbstractContextManager[Lost]:
         """Drop the answers of the motor's drive within the block (Ability.LOSE)."""
+
+    def delay_answers_of(
+        self, motor: Motor, delay_s: float, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Lost]:
+        """Delay the drive's answers to requests by this time [s] within the block (Ability.LATE).
+
+        Frames that the drive sends by itself are not delayed, as a bus keeps their order.
+        """
 
     def strike(
         self, motor: Motor | None, times: int, *, skip: int = 0

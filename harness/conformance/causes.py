@@ -5,14 +5,13 @@ this one clause. Groups are ranked by the level of this clause, then by size, th
 the kit.
 """
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.harness.conformance.diagnosis import without_numbers
 from motorhil.harness.conformance.examination import Finding
 
-_NUMBER: Final = re.compile(r"[-+]?\b\d[\d.]*(?:e[-+]?\d+)?\b")
 _NS: Final = 1e9
 
 
@@ -65,11 +64,6 @@ def _key(one: Finding) -> str:
     if diagnosis is not None:
         return diagnosis.key
     return f"{verdict.result.value} {without_numbers(verdict.seen)} {verdict.place}"
-
-
-def without_numbers(text: str) -> str:
-    """Return a message without its values, which differ from failure to failure."""
-    return _NUMBER.sub("#", text)
 
 
 def told_in_full(one: Finding) -> list[str]:

@@ -20,10 +20,11 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, Final, final
 
-from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.rig.config.conformance import Capability
 
-Check = Callable[[RigProtocol], None]
+Check = Callable[[Any], None]
+"""The check of a clause: a function of a bench, `RigProtocol` in the kit for adaptations."""
 
 
 @final
@@ -91,7 +92,10 @@ class Clause:
     check: Check
 
 
-_CLAUSES: Final[dict[str, Clause]] = {}
+Kit = dict[str, Clause]
+"""The clauses of a kit, by id."""
+
+_CLAUSES: Final[Kit] = {}
 
 
 def clause(
@@ -101,20 +105,21 @@ def clause(
     source: str,
     needs: Collection[Capability] = (),
     bench: Collection[Ability] = (),
+    kit: Kit = _CLAUSES,
 ) -> Callable[[Check], Check]:
-    """Register the decorated function as the check of a clause.
+    """Register the decorated function as the check of a clause of `kit`.
 
     Raises:
         ValueError: the name is taken, or the function has no docstring.
     """
 
     def register(check: Check) -> Check:
-        if name in _CLAUSES:
+        if name in kit:
             raise ValueError(f"clause {name}: registered twice; use another id")
         promise = " ".join((check.__doc__ or "").split("\n\n")[0].split())
         if not promise:
             raise ValueError(f"clause {name}: the check has no docstring; write the promise there")
-        _CLAUSES[name] = Clause(
+        kit[name] = Clause(
             id=name,
             level=level,
             promise=promise,

@@ -7,11 +7,12 @@ import shlex
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.conformance.clause import Verdict
+from motorhil.harness.conformance.clause import Result, Verdict
+from motorhil.harness.conformance.variations import OWN
 from motorhil.harness.conformance.worker import Promise, Supervisor
 from motorhil.harness.rig.config.toml import RigError
 
@@ -34,6 +35,7 @@ class Finding:
         digest: the digest of the record's messages; "" if there is none, or the record is
             incomplete.
         second: the verdict of the second run, if it differs from the first.
+        variation: of the rig; "" if it was checked on the rig as it is.
     """
 
     promise: Promise
@@ -44,6 +46,7 @@ class Finding:
     record: Path | None = None
     digest: str = ""
     second: Verdict | None = None
+    variation: str = OWN
 
 
 @final
@@ -71,8 +74,13 @@ class Examiner:
         self._folder = folder
         self._is_live = is_live
 
-    def examine(self, promise: Promise) -> Finding:
+    def examine(
+        self, promise: Promise, variation: str = OWN, *, is_required: bool = False
+    ) -> Finding:
         """Check a clause and return the finding.
+
+        A clause that is not applicable with this variation of the rig is checked on the rig as it
+        is, unless the variation is required.
 
         Raises:
             WrongJobError, CannotTestError: see `Supervisor.loaded`.
@@ -80,19 +88,30 @@ class Examiner:
         """
         record = self._record_of(promise) if self._is_live else None
         begin_s = time.monotonic()
-        verdict = self._supervisor.check(promise.id, record=record)
+        verdict = self._supervisor.check(promise.id, record=record, variation=variation)
+        if variation and not is_required and verdict.result is Result.NOT_APPLICABLE:
+            variation = OWN
+            verdict = self._supervisor.check(promise.id, record=record)
         wall_s = time.monotonic() - begin_s
         output = self._supervisor.output
         if verdict.result.is_good:
             if record is not None:
                 record.unlink(missing_ok=True)
-            return Finding(promise, verdict, wall_s)
+            return Finding(promise, verdict, wall_s, variation=variation)
         loaded = self._supervisor.loaded
         again = [*self._command, "--clause", promise.id, "--seed", str(loaded.seed)]
+        if loaded.variations:
+            again += ["--benches", variation or "own"]
         second = None
         if record is None:
             record = self._record_of(promise)
-            second = self._check_again(verdict, wall_s >= loaded.deadline_s, record)
+            again_seen = self._check_again(verdict, wall_s >= loaded.deadline_s, record, variation)
+            if again_seen.diagnosis is not None and again_seen == verdict:
+                verdict = replace(verdict, diagnosis=again_seen.diagnosis)  # this run was observed
+            is_same = again_seen == verdict or (
+                wall_s >= loaded.deadline_s and verdict.result is again_seen.result
+            )
+            second = None if is_same else again_seen
         return Finding(
             promise,
             verdict,
@@ -102,17 +121,17 @@ class Examiner:
             record if record.exists() else None,
             _digest(record),
             second,
+            variation,
         )
 
-    def _check_again(self, first: Verdict, was_slow: bool, record: Path) -> Verdict | None:
-        """Check the clause again and record it; return the verdict if it differs."""
+    def _check_again(self, first: Verdict, was_slow: bool, record: Path, variation: str) -> Verdict:
+        """Check the clause again, observed and recorded."""
         deadline_s = None
         if was_slow:
             deadline_s = max(1.0, _HANGS_SOONER * self._supervisor.loaded.deadline_s)
-        second = self._supervisor.check(first.clause, record=record, deadline_s=deadline_s)
-        if was_slow and first.result is second.result:
-            return None
-        return None if second == first else second
+        return self._supervisor.check(
+            first.clause, record=record, deadline_s=deadline_s, variation=variation
+        )
 
     def _record_of(self, promise: Promise) -> Path:
         try:

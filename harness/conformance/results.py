@@ -2,10 +2,11 @@
 
 The keys of the JSON document are stable:
 
-    adaptation, rig, bench, motors, seed    what was tested; `rig` is its file, `bench` its name
+    adaptation, rig, bench, motors, seed    what was tested; `rig` is its file, `bench` its name;
+                        of a drive: `adaptation` and `motors` have its name
     passed              whether at least one clause was checked and all results are good
     counts              number of clauses by result
-    claims              by capability: why the motors do not claim it, or "" if they claim it;
+    claims              by capability, or by mode of a drive: why it is not claimed, or "";
                         null if the motors could not be asked
     groups              failures by cause, the first one to mend on top: `cause`; `first`, the id of
                         the most basic clause, and `others`; `told`, the lines about the first
@@ -18,6 +19,7 @@ The keys of the JSON document are stable:
                         its MCAP file, or null; `digest`, the record's digest, or null; `second`,
                         the `result` and `seen` of a second run with the same seed if they differ,
                         else null
+    not_met             conditions that no clause has met, such as "backlash"
     first_verdict_s     from the start of the command to the first verdict, in wall time
     took_s              from the start of the command to the last verdict
 
@@ -33,8 +35,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.conformance.causes import cause_of, groups_of, more_of, told_in_full
-from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.causes import Group, cause_of, groups_of, more_of, told_in_full
+from motorhil.harness.conformance.clause import Diagnosis, Result
 from motorhil.harness.conformance.examination import Finding
 from motorhil.harness.conformance.worker import Loaded
 
@@ -48,6 +50,13 @@ _JUNIT: Final = {
     Result.LEFT_BEHIND: "error",
     Result.NOT_APPLICABLE: "skipped",
 }
+_WIDTH, _HEIGHT, _LEFT = 900, 200, 70
+_LINES: Final = {
+    "demand": ("6 3", "#2f6fb0"),
+    "told": ("2 2", "#b3261e"),
+    "truth": ("", "#287a2c"),
+}
+"""Dashes and colour of each line of the picture of a failure."""
 _STYLE: Final = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em }
 table { border-collapse: collapse; width: 100% }
@@ -72,6 +81,7 @@ class Outcome:
         findings: the findings in the order of the checks.
         claims: as `Supervisor.claims`; None if the motors could not be asked.
         first_verdict_s, took_s: in wall time [s].
+        not_met: the conditions that no clause has met, such as "backlash".
     """
 
     loaded: Loaded
@@ -79,6 +89,7 @@ class Outcome:
     claims: Mapping[str, str] | None
     first_verdict_s: float
     took_s: float
+    not_met: tuple[str, ...] = ()
 
     def count(self, result: Result) -> int:
         """Return the number of clauses with this result."""
@@ -117,6 +128,7 @@ def as_json(outcome: Outcome) -> str:
             for one in groups_of(outcome.findings)
         ],
         "clauses": [_clause(one) for one in outcome.findings],
+        "not_met": list(outcome.not_met),
         "first_verdict_s": round(outcome.first_verdict_s, 3),
         "took_s": round(outcome.took_s, 3),
     }
@@ -191,12 +203,63 @@ def as_page(outcome: Outcome, folder: Path) -> str:
 <h1>{_text(title)}</h1>
 <p>On {_text(loaded.bench)} ({_text(loaded.rig)}), motors {_text(", ".join(loaded.motors))},
 seed {loaded.seed}: {_text(counts)}.</p>
+{"".join(map(_group, groups_of(outcome.findings)))}
 <table><tr><th>clause</th><th>promise and observation</th><th>verdict</th><th>at</th></tr>
 {rows}
 </table>
 {_claims(outcome.claims)}
 </body></html>
 """
+
+
+def _group(group: Group) -> str:
+    """Return the section of a group: its first clause in full, with the picture of the moment."""
+    first = group.first
+    lines = "".join(f"<br><code>{_text(line)}</code>" for line in told_in_full(first))
+    others = f"<p>Also: {_text(', '.join(group.others))}</p>" if group.others else ""
+    picture = "" if first.verdict.diagnosis is None else picture_of(first.verdict.diagnosis)
+    return (
+        f"<section><h2>{_text(group.cause)}</h2><p>{_text(first.promise.id)} "
+        f'<span class="bad">{first.verdict.result.value}</span>{lines}</p>{picture}{others}'
+        "</section>\n"
+    )
+
+
+def picture_of(diagnosis: Diagnosis) -> str:
+    """Return an SVG of position demand, told and true over time; "" without values."""
+    points = [point for curve in diagnosis.curves.values() for point in curve]
+    if not points:
+        return ""
+    (begin_s, end_s), (low, high) = ((min(axis), max(axis)) for axis in zip(*points, strict=True))
+    if end_s == begin_s:
+        return ""
+    margin = 0.05 * (high - low) or 0.5
+    low, high = low - margin, high + margin
+
+    def place(time_s: float, position: float) -> str:
+        x = _LEFT + (time_s - begin_s) / (end_s - begin_s) * (_WIDTH - _LEFT)
+        return f"{x:.1f},{(high - position) / (high - low) * _HEIGHT:.1f}"
+
+    parts = []
+    for number, (name, curve) in enumerate(diagnosis.curves.items()):
+        line = " ".join(place(*point) for point in curve)
+        dash, colour = _LINES[name]
+        parts.append(
+            f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="1.5"'
+            f' stroke-dasharray="{dash}"/>'
+            f'<text x="{_LEFT + 90 * number}" y="{_HEIGHT + 30}" fill="{colour}">{name}</text>'
+        )
+    texts = (
+        (0, 10, f"{high:.4g}"),
+        (0, _HEIGHT, f"{low:.4g}"),
+        (_LEFT, _HEIGHT + 14, f"{begin_s:.3f} s"),
+        (_WIDTH - 60, _HEIGHT + 14, f"{end_s:.3f} s"),
+    )
+    parts += [f'<text x="{x}" y="{y}" fill="#777">{text}</text>' for x, y, text in texts]
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT + 36}" font-size="11" role="img"'
+        f' aria-label="position over time">{"".join(parts)}</svg>'
+    )
 
 
 def _row(one: Finding, folder: Path) -> str:

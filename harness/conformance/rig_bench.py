@@ -12,6 +12,7 @@ from motorhil.emulators.can.frame import can_id_of, data_of, pack
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
+from motorhil.harness.conformance.observation import Observation
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
@@ -28,6 +29,7 @@ _FAULT_NS: Final = 50_000_000
 _CANOPEN: Final = ("cia402", "cia401")
 """Kinds of controllers that use SYNC and NMT, and whose commands the bench recognises."""
 _SYNC: Final = 0x080
+_SDO_ANSWER: Final = 0x580  # + node-ID
 _UNUSED_ID: Final = 0x7FF
 _LAST_BIT: Final = 0.02
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
@@ -80,6 +82,7 @@ class RigBench:
         description: from `bench_description`.
         seed: the seed of all random numbers.
         record: an MCAP file for all events; `afresh` begins a new record.
+        is_observed: keep what a diagnosis needs, in `observation`.
         limit_s: the time limit in the rig's time, after which `TimeIsUp` ends all waits [s].
     """
 
@@ -89,10 +92,12 @@ class RigBench:
         seed: int,
         *,
         record: Path | None = None,
+        is_observed: bool = False,
         limit_s: float = 120.0,
     ) -> None:
         self._description = description
         self._record = record
+        self._is_observed = is_observed
         self._limit_s = limit_s
         self._rules = 0
         self.seed = seed
@@ -101,8 +106,29 @@ class RigBench:
 
     def _switch_on(self) -> None:
         self._scales: dict[str, float] = {}
-        self.rig = Rig(self._description, seed=self.seed, record=self._record)
+        self.rig: Rig = Rig(self._description, seed=self.seed, record=self._record)
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
+
+        self.observation: Observation | None = None
+        if self._is_observed:
+            names = self.facts.motors
+            self.observation = Observation(self.rig, self._description, names, self._seen_truth)
+
+    @property
+    def name(self) -> str:
+        """The name of the bench, for reports."""
+        return self._description.name
+
+    def _seen_truth(self, motor: Motor) -> Mapping[str, float]:
+        truth = dict(self._truth(motor))
+        if "position_rad" in truth:
+            try:
+                scale = self._units_per_rad(motor)
+            except (NotApplicable, AttributeError):  # no ratio, or no model before it is connected
+                return truth
+            truth["position"] = truth["position_rad"] * scale
+            truth["velocity"] = truth["velocity_rad_s"] * scale
+        return truth
 
     def _time_is_up(self, now_ns: int) -> None:
         raise TimeIsUp(f"still waiting after {self._limit_s:g} s of the rig's time")
@@ -141,7 +167,7 @@ class RigBench:
             able |= {Ability.CUT, Ability.SILENCE_HOST}
             kind = self._description.controllers[first.controller].kind
             if kind in _CANOPEN or self._is_on_a_line(self.motor):
-                able.add(Ability.TRAFFIC)
+                able |= {Ability.TRAFFIC, Ability.LATE}
             if not self._is_on_a_line(self.motor):
                 able.add(Ability.BUS_ERRORS)
             if kind in _CANOPEN:
@@ -214,6 +240,24 @@ class RigBench:
         rule = FaultRule("", FaultKind.DROP, sender=sender, skip=skip, limit=limit)
         with self._rule(motor, rule) as lost:
             yield lost
+
+    @contextmanager
+    def delay_answers_of(
+        self, motor: Motor, delay_s: float, *, skip: int = 0, limit: int | None = None
+    ) -> Iterator[Lost]:
+        """Delay the drive's answers, of a CANopen node those of SDO, within the block."""
+        sender = self._controller(motor)
+        node = self._description.controllers[sender].node_id
+        identifier = None if self._is_on_a_line(motor) or node is None else _SDO_ANSWER + node
+        rule = FaultRule(
+            *("", FaultKind.DELAY, identifier),
+            sender=sender,
+            skip=skip,
+            limit=limit,
+            delay_ns=round(delay_s * 1e9),
+        )
+        with self._rule(motor, rule) as late:
+            yield late
 
     @contextmanager
     def strike(self, motor: Motor | None, times: int, *, skip: int = 0) -> Iterator[Lost]:
@@ -348,11 +392,12 @@ class RigBench:
             unit = self._description.controllers[self._controller(motor)].node_id
             rule = SerialFaultRule(
                 name,
-                SerialFaultKind.LOSE,
+                SerialFaultKind.DELAY if wanted.delay_ns else SerialFaultKind.LOSE,
                 sender=wanted.sender,
                 unit=unit,
                 skip=wanted.skip,
                 limit=wanted.limit,
+                delay_ns=wanted.delay_ns,
             )
         self.rig.faults.inject(bus, rule)
         try:

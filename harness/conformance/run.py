@@ -25,7 +25,9 @@ import can
 from motorhil.harness.conformance import clause
 from motorhil.harness.conformance.bench import Opener
 from motorhil.harness.conformance.clause import Clause, NotApplicable, Result, Verdict, Violated
-from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.conformance.diagnosis import diagnose
+from motorhil.harness.conformance.observation import Observation
+from motorhil.harness.conformance.rig_bench import RigBench, TimeIsUp
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Capability, Facts
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from motorhil.motorapi import (
@@ -74,8 +76,9 @@ _SETTLE_S: Final = 0.25
 _POLL_S: Final = 0.01
 _DESCRIPTORS: Final = Path("/proc/self/fd")
 _TASKS: Final = Path("/proc/self/task")
-_CLAUSES: Final = str(Path(__file__).parent / "clauses")
-_SHARED: Final = (str(clause.__file__), os.path.join(_CLAUSES, "helpers.py"))
+_HERE: Final = Path(__file__).parent
+_CLAUSES: Final = (str(_HERE / "clauses"), str(_HERE / "drives" / "clauses"))
+_SHARED: Final = (str(clause.__file__), os.path.join(_CLAUSES[0], "helpers.py"))
 """Files whose functions raise for their callers; a place in the calling clause is preferred."""
 
 Line = tuple[str, int]
@@ -189,7 +192,7 @@ def home_of(module: str) -> str:
     return os.path.dirname(file) + os.sep if hasattr(package, "__path__") else file
 
 
-def raised_at(error: BaseException, home: str = "") -> str:
+def raised_at(error: BaseException, home: str | tuple[str, ...] = "") -> str:
     """Return where the error or its cause was raised: the last line in `home`, or the last line."""
     while error.__cause__ is not None:
         error = error.__cause__
@@ -201,7 +204,7 @@ def called_at(frame: FrameType | None) -> str:
     return "" if frame is None else f"{frame.f_code.co_filename}:{frame.f_lineno}"
 
 
-def place_in(lines: Sequence[Line], home: str = "") -> str:
+def place_in(lines: Sequence[Line], home: str | tuple[str, ...] = "") -> str:
     """Return the last line that is in `home`, or the last line of all; "" if there is none.
 
     The outermost line is the first.
@@ -403,11 +406,12 @@ def run_clause(
 
 def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -> Verdict:
     """Return the verdict; keep no reference to the bench."""
-    time_ns = 0
+    time_ns, name = 0, ""
     try:
         _require_claimed(one, claims)
         with open_bench() as bench:
             judge.facts = bench.facts
+            name = bench.name if isinstance(bench, RigBench) else ""
             try:
                 _require_able(one, bench)
                 one.check(bench)
@@ -416,10 +420,17 @@ def _checked(one: Clause, open_bench: Opener, claims: Claims, judge: "_Judge") -
                 if isinstance(error, LimitError):  # asking for a motor connects it
                     judge.models = tuple(motor.model for motor in bench.motors)
                 verdict = judge.verdict(error)
+                if not verdict.result.is_good:
+                    seen = bench.observation if isinstance(bench, RigBench) else None
+                    if seen is not None:
+                        seen.look(bench.runtime.now_ns())
+                    verdict = judge.diagnosed(verdict, error, seen)
             time_ns = bench.runtime.now_ns()
     except BaseException as error:  # while the bench was switched on or off
         verdict = judge.verdict(error)
-    return replace(verdict, time_ns=time_ns)
+        if not verdict.result.is_good:
+            verdict = judge.diagnosed(verdict, error, None)
+    return replace(verdict, time_ns=time_ns, bench=name)
 
 
 def _require_claimed(one: Clause, claims: Claims) -> None:
@@ -481,6 +492,13 @@ class _Judge:
         if isinstance(error, MotorError) and not isinstance(error, PluginError):
             return Verdict(self._one.id, Result.FAILED, f"raised {seen}", place)
         return Verdict(self._one.id, Result.CRASHED, seen, place)
+
+    def diagnosed(
+        self, verdict: Verdict, error: BaseException, observation: Observation | None
+    ) -> Verdict:
+        """Return the verdict with a diagnosis."""
+        diagnosis = diagnose(self._one, error, verdict.seen, self._home, observation)
+        return replace(verdict, diagnosis=diagnosis)
 
     def _is_no_room(self, error: LimitError) -> bool:
         """Return whether the clause has asked for a position that the motors' models forbid."""

@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any, Final, Self, final
 
 from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.clause import Clause
+from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import home_of
+from motorhil.harness.conformance.variations import OWN, applicable, varied
 from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
 from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
@@ -35,12 +38,14 @@ class Job:
         seed: the seed of all random numbers; None: the rig's seed.
         on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
             time.
+        controller: the drive of the rig to test, in place of an adaptation; "": none.
     """
 
     adaptation: str = ""
     rig: str = ""
     seed: int | None = None
     on: tuple[str, ...] = ()
+    controller: str = ""
 
     def packed(self) -> dict[str, Any]:
         """Return the job as JSON values."""
@@ -60,6 +65,7 @@ class Target:
         rig: the description, with the motors under test.
         seed: the seed of all random numbers.
         deadline_s: for one clause, in wall time [s].
+        variations: the names of the variations that the rig can have.
         home: the folder of the adaptation's code (`code_places.home_of`).
 
     Raises:
@@ -69,22 +75,40 @@ class Target:
     def __init__(self, job: Job) -> None:
         build = _loaded(job.adaptation) if job.adaptation else None
         described = _described(Path(job.rig) if job.rig else _own_rig(job.adaptation, build))
-        self.rig = bench_description(described, job.adaptation or None)
-        self.seed = described.seed if job.seed is None else job.seed
+        self.rig: RigDescription = bench_description(described, job.adaptation or None)
+        is_own = not job.rig and not job.on and described.source.path.parent == OWN_RIGS
+        self.variations: Final = applicable(described.source.text) if is_own else ()
+        self._described = described
+        self._job = job
+        self._varied: dict[str, RigDescription] = {OWN: self.rig}
+        self.seed: int = described.seed if job.seed is None else job.seed
         first = self.rig.motors[self.rig.conformance.motors[0]]
         self._places = _places(job, self.rig) if job.on else None
         self.deadline_s: Final = _deadline_s(self.rig.conformance, is_live=bool(job.on))
         self.adaptation: Final = first.adaptation
         self.home: Final = home_of(getattr(build or _loaded(self.adaptation), "__module__", ""))
 
-    def opener(self, record: Path | None = None) -> Opener:
-        """Return an opener for benches of this rig, which record everything to `record`."""
+    def clauses(self) -> Mapping[str, Clause]:
+        """Return the clauses for adaptations."""
+        return all_clauses()
+
+    def opener(self, record: Path | None = None, variation: str = OWN) -> Opener:
+        """Return an opener for benches of this rig, varied, which record all to `record`."""
         if self._places is None:
-            return lambda: RigBench(self.rig, self.seed, record=record)
+            rig = self._with(variation)
+            return lambda: RigBench(rig, self.seed, record=record, is_observed=record is not None)
         from motorhil.harness.conformance.wall_bench import WallBench
 
         places = self._places
         return lambda: WallBench(self.rig, places, self.seed, record=record)
+
+    def _with(self, variation: str) -> RigDescription:
+        found = self._varied.get(variation)
+        if found is None:
+            described = varied(self._described, variation)
+            found = bench_description(described, self._job.adaptation or None)
+            self._varied[variation] = found
+        return found
 
 
 def _described(path: Path) -> RigDescription:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, Never, Self, final
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.rig_bench import SECOND_USER, physical_name
-from motorhil.harness.recording.sources import Kind, Place, PlaceError, open_bus, parse_place
+from motorhil.harness.recording.sources import Kind, PlaceError, open_bus, parse_place
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
@@ -43,7 +43,15 @@ def places_in(texts: Sequence[str], rig: RigDescription) -> dict[str, str]:
         RigError: an option names no free bus, or a bus has no place.
     """
     under_test = [rig.motors[name].bus for name in rig.conformance.motors]
-    buses = list(dict.fromkeys(bus for bus in under_test if bus is not None))
+    return places_of(texts, [bus for bus in dict.fromkeys(under_test) if bus is not None], rig)
+
+
+def places_of(texts: Sequence[str], buses: Sequence[str], rig: RigDescription) -> dict[str, str]:
+    """Return the place of each of these buses, from `--on [BUS=]WHERE`.
+
+    Raises:
+        RigError: an option names another bus, or a bus has no place.
+    """
     found: dict[str, str] = {}
     for text in texts:
         name, equals, where = text.partition("=")
@@ -180,6 +188,12 @@ class WallBench:
         """Raise NotApplicable."""
         _refuse(Ability.LOSE)
 
+    def delay_answers_of(
+        self, motor: Motor, delay_s: float, *, skip: int = 0, limit: int | None = None
+    ) -> AbstractContextManager[Lost]:
+        """Raise NotApplicable."""
+        _refuse(Ability.LATE)
+
     def strike(
         self, motor: Motor | None, times: int, *, skip: int = 0
     ) -> AbstractContextManager[Lost]:
@@ -231,13 +245,12 @@ class WallBench:
         described, where = self._description.buses[bus], self._places[bus]
         try:
             if not described.is_line:
-                opened = _bus_at(parse_place(f"{bus}={where}"))
+                opened = bus_at(bus, where)
                 cleanup.callback(opened.shutdown)
                 return opened
             line = self._line_at(bus, where)
-        except (PlaceError, LinkError) as error:
-            text = str(error).removeprefix(f"--on {bus}={where}: ")
-            raise RigError(f"--on {bus}={where}", text) from None
+        except LinkError as error:
+            raise RigError(f"--on {bus}={where}", str(error)) from None
         cleanup.callback(line.close)
         return line
 
@@ -259,16 +272,20 @@ class WallBench:
     def _listen(self, bus: str) -> None:
         """Record the frames of a CAN bus; lines are not recorded."""
         writer, link = self._writer, self._links[bus]
-        if writer is None or isinstance(link, TcpLine | SerialLine):
-            return
-        channel = writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
-        received = writer.source(channel, "", Direction.RECEIVED)
-        sent = writer.source(channel, "host", Direction.TRANSMITTED)
+        if writer is not None and not isinstance(link, TcpLine | SerialLine):
+            record_bus(writer, self.runtime, bus, link)
 
-        def record_frame(frame: bytes, time_ns: int, transmitted: bool) -> None:
-            writer.can_frame(sent if transmitted else received, time_ns, frame)
 
-        self.runtime.listen(link, record_frame)
+def record_bus(writer: TraceWriter, runtime: WallRuntime, bus: str, link: "can.BusABC") -> None:
+    """Record all frames of a CAN bus from now on."""
+    channel = writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
+    received = writer.source(channel, "", Direction.RECEIVED)
+    sent = writer.source(channel, "host", Direction.TRANSMITTED)
+
+    def record_frame(frame: bytes, time_ns: int, transmitted: bool) -> None:
+        writer.can_frame(sent if transmitted else received, time_ns, frame)
+
+    runtime.listen(link, record_frame)
 
 
 def _without_fault(motor: Motor) -> None:
@@ -276,8 +293,19 @@ def _without_fault(motor: Motor) -> None:
         motor.reset_fault()
 
 
-def _bus_at(place: Place) -> "can.BusABC":
-    return open_bus(replace(place, interface=_INTERFACES.get(place.kind, place.interface)), {})
+def bus_at(bus: str, where: str) -> "can.BusABC":
+    """Open the CAN bus at a place.
+
+    Raises:
+        RigError: it cannot be opened.
+    """
+    try:
+        place = parse_place(f"{bus}={where}")
+        interface = _INTERFACES.get(place.kind, place.interface)
+        return open_bus(replace(place, interface=interface), {})
+    except PlaceError as error:
+        text = str(error).removeprefix(f"--on {bus}={where}: ")
+        raise RigError(f"--on {bus}={where}", text) from None
 
 
 def _refuse(ability: Ability) -> Never:

@@ -12,7 +12,8 @@ on another pipe. Output of the adaptation goes elsewhere. The supervisor's first
 dump the stacks of all threads. The second signal ends the check, if possible.
 
     {"job": {...}}                          -> {"ready": {...}}, or {"wrong": "why"}
-    {"check": "STOP-04", "record": null}    -> {"verdict": {...}}, or {"wrong": "why"}
+    {"check": {"clause": "STOP-04", "record": null, "variation": ""}}
+                                            -> {"verdict": {...}}, or {"wrong": "why"}
     {"claims": true}                        -> {"claims": {"homing": "why not, or nothing"}}
 
 Each request has a number, and its answer is [number, answer].
@@ -38,10 +39,11 @@ from typing import Any, Final, NoReturn, Self, TextIO, final
 
 import motorhil
 from motorhil.harness.conformance.clause import Result, Verdict, packed, unpacked
-from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.rig_bench import TimeIsUp
 from motorhil.harness.conformance.run import Claims, Line, place_in, raised_at, run_clause
 from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.variations import OWN, changes_claims
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 
@@ -72,9 +74,12 @@ class _Worker:
     """Answers the requests for one job."""
 
     def __init__(self, job: Mapping[str, Any]) -> None:
-        self._target = Target(Job.unpacked(job))
-        self._clauses = all_clauses()
+        wanted = Job.unpacked(job)
+        self._target: Target | DriveTarget
+        self._target = DriveTarget(wanted) if wanted.controller else Target(wanted)
+        self._clauses = self._target.clauses()
         self._claims = Claims(self._target.opener())
+        self._fewer: dict[str, Claims] = {}
 
     def ready(self) -> dict[str, object]:
         """Return the description of the job."""
@@ -87,17 +92,22 @@ class _Worker:
             "seed": self._target.seed,
             "deadline_s": self._target.deadline_s,
             "home": self._target.home,
+            "variations": list(self._target.variations),
             "clauses": [
                 {"id": one.id, "level": one.level, "promise": one.promise, "source": one.source}
                 for one in self._clauses.values()
             ],
         }
 
-    def check(self, clause: str, record: str | None) -> dict[str, object]:
+    def check(self, clause: str, record: str | None, variation: str) -> dict[str, object]:
         """Check a clause and return its verdict."""
-        opener = self._target.opener(Path(record) if record else None)
+        opener = self._target.opener(Path(record) if record else None, variation)
+        claims = self._claims
+        if variation and changes_claims(variation):
+            unrecorded = self._target.opener(None, variation)
+            claims = self._fewer.setdefault(variation, Claims(unrecorded))
         try:
-            verdict = run_clause(self._clauses[clause], opener, self._claims, self._target.home)
+            verdict = run_clause(self._clauses[clause], opener, claims, self._target.home)
         except KeyboardInterrupt as error:  # of the code under test: Ctrl-C does not come here
             place = raised_at(error, self._target.home)
             verdict = Verdict(clause, Result.CRASHED, "KeyboardInterrupt", place)
@@ -110,6 +120,8 @@ class _Worker:
             RigError: the adaptation's claims cannot be read.
         """
         try:
+            if isinstance(self._target, DriveTarget):
+                return self._target.claims()
             return {one.key: self._claims.why_not(one) for one in Capability}
         except RigError:
             raise
@@ -166,7 +178,7 @@ def _answer(requests: TextIO, reply: Callable[[object], None], dump: TextIO) -> 
             else:
                 left_s = request["deadline_s"] + _MARGIN_S
                 faulthandler.dump_traceback_later(left_s, exit=True, file=dump)
-                answer = {"verdict": worker.check(request["check"], request["record"])}
+                answer = {"verdict": worker.check(**request["check"])}
                 faulthandler.cancel_dump_traceback_later()
         except RigError as error:
             answer = {"wrong": f"{error}"}
@@ -199,8 +211,8 @@ class Child:
     """
 
     def __init__(self) -> None:
-        self.output = b""
-        self.last_stacks = ""
+        self.output: bytes = b""
+        self.last_stacks: str = ""
         self._stacks = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the child
         requests, self._requests = os.pipe()
         self._replies, replies = os.pipe()
@@ -351,8 +363,9 @@ class CannotTestError(Exception):
 class Loaded:
     """The worker's description of its job after loading.
 
-    Attributes: adaptation, rig (its file), bench (the rig's name), motors (under test), seed,
-    deadline_s (for one clause), home (the folder of the adaptation's code), clauses (of the kit).
+    Attributes: adaptation (or the drive under test), rig (its file), bench (the rig's name), motors
+    (under test), seed, deadline_s (for one clause), home (the folder of the adaptation's code),
+    clauses (of the kit), variations (that the rig can have).
     """
 
     adaptation: str
@@ -363,6 +376,7 @@ class Loaded:
     deadline_s: float
     home: str
     clauses: tuple[Promise, ...]
+    variations: tuple[str, ...] = ()
 
 
 @final
@@ -411,12 +425,18 @@ class Supervisor:
                 )
             ready = _accepted(answer)["ready"]
             clauses = tuple(Promise(**one) for one in ready["clauses"])
-            self._loaded = Loaded(**{**ready, "motors": tuple(ready["motors"]), "clauses": clauses})
+            lists = {name: tuple(ready[name]) for name in ("motors", "variations")}
+            self._loaded = Loaded(**{**ready, **lists, "clauses": clauses})
             self._has_loaded = True
         return self._loaded
 
     def check(
-        self, clause: str, *, record: Path | None = None, deadline_s: float | None = None
+        self,
+        clause: str,
+        *,
+        record: Path | None = None,
+        deadline_s: float | None = None,
+        variation: str = OWN,
     ) -> Verdict:
         """Check a clause and return its verdict, whatever the adaptation does.
 
@@ -424,6 +444,7 @@ class Supervisor:
             clause: its id.
             record: an MCAP file for all events.
             deadline_s: replaces the rig's deadline [s].
+            variation: of the rig.
 
         Raises:
             WrongJobError, CannotTestError: as `loaded`.
@@ -438,7 +459,8 @@ class Supervisor:
         child.forget()
         limit_s = loaded.deadline_s if deadline_s is None else deadline_s
         file = None if record is None else str(record)
-        child.ask({"check": clause, "record": file, "deadline_s": limit_s})
+        check = {"clause": clause, "record": file, "variation": variation}
+        child.ask({"check": check, "deadline_s": limit_s})
         try:
             answer = child.answer(limit_s)
             if answer is not None:

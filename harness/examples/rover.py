@@ -52,7 +52,7 @@ class Rover:
         self.wheels = wheels
         self.steering = steering
         self.mast = mast
-        self.pose = Pose()
+        self.pose: Pose = Pose()
         self.leg: Leg | None = None
         self.moves: list[Move] = []
         self._leg_start: tuple[float, ...] = ()

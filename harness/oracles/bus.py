@@ -35,7 +35,7 @@ class BusListener:
     """
 
     def __init__(self, name: str, context: RecordingContext, oracles: Sequence[Oracle]) -> None:
-        self.fd_frames = 0
+        self.fd_frames: int = 0
         self._name = name
         self._context = context
         self._oracles = oracles

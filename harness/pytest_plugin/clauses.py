@@ -11,7 +11,7 @@ from typing import Final, final
 
 import pytest
 
-from motorhil.harness.conformance.causes import more_of
+from motorhil.harness.conformance.causes import cause_of, told_in_full
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Examiner, Finding
 from motorhil.harness.conformance.target import Job
@@ -173,9 +173,9 @@ class ClauseOfKit(pytest.Item):
             return super().repr_failure(excinfo)
         lines = [
             str(error),
-            f"promise: {self.promise.promise}",
+            f"likely cause: {cause_of(error.finding)}",
             f"source: {self.promise.source}",
-            *more_of(error.finding),
+            *told_in_full(error.finding),
         ]
         return shortened("\n".join(lines), self.config)
 

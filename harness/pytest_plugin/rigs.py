@@ -91,7 +91,7 @@ class RecordOfTest(os.PathLike[str]):
 
     def __init__(self, opened: "RigOfTest", path: Path) -> None:
         self.path = path
-        self.kept = False
+        self.kept: bool = False
         self._opened = opened
 
     def __fspath__(self) -> str:
@@ -137,12 +137,13 @@ class RigOfTest:
             raise RigError(
                 folder, f"cannot be created: {error.strerror}", "name another with --record-dir"
             ) from None
-        self.record = RecordOfTest(self, folder / f"{self._kept.stem}.{os.getpid()}.part.mcap")
+        part = folder / f"{self._kept.stem}.{os.getpid()}.part.mcap"
+        self.record: RecordOfTest = RecordOfTest(self, part)
         with ExitStack() as stack:
             path, self._path_options = self._path(parameter)
             realtime = bool(option(item.config, "realtime"))
             stack.callback(self.record.path.unlink, missing_ok=True)
-            self.rig = Rig.open(path, seed, realtime, self.record.path)
+            self.rig: Rig = Rig.open(path, seed, realtime, self.record.path)
             stack.pop_all()
             stack.enter_context(self.rig)
             stack.enter_context(bus_settings(self.rig))

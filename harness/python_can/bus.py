@@ -177,8 +177,8 @@ class EmulatedBus(can.BusABC):
         fd: bool = False,
         **kwargs: Any,  # Any: python-can passes every option of its configuration here
     ) -> None:
-        self.channel_info = f"emulated bus {channel}"
-        self.channel = str(channel)
+        self.channel_info: str = f"emulated bus {channel}"
+        self.channel: str = str(channel)
         self._told_channel = channel if told_channel is None else told_channel
         self._own = receive_own_messages
         self._ignores_errors = ignore_rx_error_frames
@@ -190,7 +190,8 @@ class EmulatedBus(can.BusABC):
         self._hub: HubLink | None = None
         self._port: HostPort | None = None
         if self.channel in _OPEN:
-            world, self.runtime = _OPEN[self.channel]
+            world, runtime = _OPEN[self.channel]
+            self.runtime: VirtualRuntime = runtime
             self._world = world
             if fd and world.bus(self.channel).data_bitrate_bit_s is None:
                 raise CanInitializationError(

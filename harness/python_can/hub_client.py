@@ -55,7 +55,7 @@ class HubLink:
             CanInitializationError: no hub answers there, or it refuses the connection; says why.
         """
         self.fd = fd
-        self.begin_ns = 0
+        self.begin_ns: int = 0
         self.stale: dict[int, tuple[int, str]] = {}
         path, _, bus = channel.partition("#")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -77,7 +77,7 @@ class HubLink:
             self._socket.close()
             reason = answer.decode("utf-8", "replace") or "the hub has closed the connection"
             raise CanInitializationError(f"{path}: {reason}")
-        self.bus = answer[len(WELCOME) :].decode()
+        self.bus: str = answer[len(WELCOME) :].decode()
         self.path = path
         self._socket.setblocking(True)
         self._take_clock()

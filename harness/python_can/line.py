@@ -53,7 +53,7 @@ class EmulatedLine:
         serial = segment.line if isinstance(segment, SerialSegment) else None
         self.framing: Final = "tcp" if serial is None else "rtu"
         self.silence_ns: Final = 0 if serial is None else serial.t35_ns
-        self.is_closed = False
+        self.is_closed: bool = False
         self._serial = serial
         self._world = world
         self._is_over = False  # closed here

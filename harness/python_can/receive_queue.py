@@ -35,7 +35,7 @@ class ReceiveQueue:
         self.listeners: list[FrameListener] = []
         self.backlog: deque[tuple[bytes, int, bool]] = deque()
         self.keeps = True
-        self.dropped = 0
+        self.dropped: int = 0
         self._own = own
         self._backlog_max = backlog_max
         self._fd = fd

@@ -184,7 +184,10 @@ def open_recording(
 
 @contextmanager
 def as_mcap(
-    path: Path, note: Callable[[str], None], attachments: Sequence[Attachment] = ()
+    path: Path,
+    note: Callable[[str], None],
+    attachments: Sequence[Attachment] = (),
+    memory_max: int = MEMORY_MAX,
 ) -> Iterator[Path]:
     """Provide a recording of any format as an MCAP file, in a temporary folder if it is another.
 
@@ -192,30 +195,40 @@ def as_mcap(
         path: the file.
         note: called with what was read as which format, if it was converted.
         attachments: files beside those of the recording; an MCAP file is then copied with them.
+        memory_max: the most bytes that are made of one compressed piece of it; an MCAP file is
+            copied in small pieces if this is not the usual bound.
 
     Raises:
-        TraceError: as `convert`.
+        TraceError: as `convert`; an error of the temporary file names the user's.
     """
     is_mcap = _is_mcap_or_nothing(str(path))
-    if is_mcap and not attachments:
+    if is_mcap and not attachments and memory_max == MEMORY_MAX:
         yield path
         return
     with TemporaryDirectory(prefix="motorhil-") as folder:
         target = Path(folder) / f"{path.name}.mcap"
         if is_mcap:
-            _copy_with(path, target, attachments)
+            _copy_with(path, target, attachments, memory_max)
+        else:
+            done = convert(str(path), str(target), "mcap", False, attachments, memory_max)
+            found = done.findings
+            unread = f", {len(found.problems)} not readable" if found.problems else ""
+            unit = "ADUs" if done.is_modbus else "frames"
+            note(f"{path}: {found.frames} {unit}, read as {done.source.format}{unread}")
+        try:
             yield target
-            return
-        done = convert(str(path), str(target), "mcap", attachments=attachments)
-        unread = f", {len(done.findings.problems)} not readable" if done.findings.problems else ""
-        unit = "ADUs" if done.is_modbus else "frames"
-        note(f"{path}: {done.findings.frames} {unit}, read as {done.source.format}{unread}")
-        yield target
+        except TraceError as error:
+            if error.path != str(target):
+                raise
+            named = TraceError(str(path), error.what, remedy=error.remedy, offset=error.offset)
+            raise named from error
 
 
-def _copy_with(path: Path, target: Path, attachments: Sequence[Attachment]) -> None:
+def _copy_with(
+    path: Path, target: Path, attachments: Sequence[Attachment], memory_max: int
+) -> None:
     """Copy a recording with more attachments."""
-    with read_trace(path) as trace, TraceWriter(target, trace.metadata) as writer:
+    with read_trace(path, memory_max) as trace, TraceWriter(target, trace.metadata) as writer:
         for one in (*trace.attachments, *attachments):
             writer.attach(one.name, one.data, one.media_type, one.log_time_ns)
         channels: dict[int, int] = {}
@@ -275,7 +288,7 @@ def _nothing_in(source: Source, findings: Findings) -> TraceError:
 
 def _adus(source: Source, findings: Findings) -> Iterator[RecordedAdu]:
     if source.format == "pcap":
-        yield from captured_adus(source.path, findings)
+        yield from captured_adus(source.path, findings, source.memory_max)
     elif source.format == "mcap":
         with read_trace(source.path, source.memory_max) as trace:
             for adu in all_adus(trace):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.traces.can_frame import EFF, EFF_MASK, ERR, RTR, fields
 from motorhil.traces.decoding.narrative import BusMessage, Signal
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import reason
+from motorhil.traces.files import unreadable
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -32,7 +32,7 @@ class Dbc:
         try:
             database = cantools.database.load_file(name, database_format="dbc")
         except OSError as error:
-            raise TraceError(name, f"cannot be read: {reason(error)}") from error
+            raise unreadable(name, error) from error
         except (cantools.Error, ValueError, LookupError, RecursionError) as error:
             told = " ".join(str(error).split())[:_TEXT_MAX]
             remedy = "correct the file, or leave it out"

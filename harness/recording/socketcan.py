@@ -88,9 +88,9 @@ class DatagramReader:
         Args:
             source: remains owned by the caller; it is read without blocking.
         """
-        self.stamped = _switched_on(source, _SO_TIMESTAMPNS)
-        self.dropped = 0
-        self.ignored = 0
+        self.stamped: bool = _switched_on(source, _SO_TIMESTAMPNS)
+        self.dropped: int = 0
+        self.ignored: int = 0
         _switched_on(source, _SO_RXQ_OVFL)
         self._socket = source
         self._rows = ctypes.create_string_buffer(_ROW_SIZE * BATCH)
@@ -199,7 +199,7 @@ class SocketCanTap:
 
     def __init__(self, place: Place) -> None:
         """Open the interface and start reading it. Raises PlaceError if it cannot be opened."""
-        self.default_name = place.channel
+        self.default_name: str = place.channel
         self.source = 0
         self._socket = open_interface(place)
         options = self._socket.setsockopt

@@ -22,6 +22,7 @@ from motorhil.traces.mcap.chunk import Entry
 POLLED: Final = -1
 _BATCH: Final = 1024
 _NS: Final = 1_000_000_000
+_STAMP_MAX_S: Final = 9e9  # of 2255; later times do not fit a recording, with any offset
 _FAR_S: Final = 86_400.0  # a stamp further from the wall clock does not count from 1970
 _PYTHON_CAN_BATCH: Final = 4096
 _LINUX_ERRORS: Final = (
@@ -176,7 +177,7 @@ class Tap(Protocol):
         """Return (source, time [ns since 1970], frame) of new frames, a bounded number; [] if none.
 
         Raises:
-            BusDownError: the bus cannot be read now; it may be read again.
+            BusDownError: the bus cannot be read now, or has odd times; it may be read again.
             BusEndedError: the bus cannot be read any more.
         """
 
@@ -201,7 +202,7 @@ class HubTap:
             self._link = HubLink.with_all(place.channel)
         except CanError as error:
             raise PlaceError(f"--on {place.text}: {error}") from None
-        self.default_name = self._link.bus
+        self.default_name: str = self._link.bus
         self.dropped = 0
         self.source = 0
         self._clocks = clocks
@@ -252,7 +253,7 @@ class HubClocks:
         """Decide from the recorded places whether the hub's own times are kept."""
         hubs = {place.channel.partition("#")[0] for place in places if place.kind is Kind.HUB}
         self.moved_ns: dict[str, int] = {}
-        self.keeps = len(hubs) == 1 and all(place.kind is Kind.HUB for place in places)
+        self.keeps: bool = len(hubs) == 1 and all(place.kind is Kind.HUB for place in places)
 
     def shift(self, path: str, time_ns: int, now_ns: int) -> int:
         """Return the shift of this hub's times [ns], fixed by its first frame at `time_ns`."""
@@ -337,14 +338,16 @@ class PythonCanTap:
 
     def __init__(self, place: Place, options: Mapping[str, object]) -> None:
         """Open the bus and start reading it. Raises PlaceError if it cannot be opened."""
-        self.default_name = topic_name(place.channel)
-        self.dropped = 0
+        self.default_name: str = topic_name(place.channel)
+        self.dropped: int = 0
         self.source = 0
         self._bus = open_bus(place, options)
         self._text = place.text
         self._interface = place.interface
         self._backlog = _Backlog()
         self._moved_ns: int | None = None
+        self._odd_stamp = ""  # the problem of the first stamp that is not a time
+        self._is_told = False
         self._notifier = can.Notifier(self._bus, [self._backlog], timeout=0.1)
 
     @property
@@ -359,6 +362,9 @@ class PythonCanTap:
 
     def read(self, now_ns: int) -> list[Entry]:
         """Return the entries that have arrived; see `Tap.read`."""
+        if self._odd_stamp and not self._is_told:
+            self._is_told = True
+            raise BusDownError(self._odd_stamp)
         messages = self._backlog.messages
         entries: list[Entry] = []
         while messages and len(entries) < _PYTHON_CAN_BATCH:
@@ -376,7 +382,10 @@ class PythonCanTap:
 
     def _time_ns(self, stamp_s: float, now_ns: int) -> int:
         """Return the stamp in ns since 1970; other epochs are shifted by a constant offset."""
-        if not stamp_s > 0.0:
+        if not 0.0 < stamp_s < _STAMP_MAX_S:
+            if stamp_s != 0.0 and not self._odd_stamp:  # 0: python-can's value for none
+                what = f"{self._text}: a frame has the stamp {stamp_s:g} s"
+                self._odd_stamp = f"{what}; such frames get this computer's time"
             return now_ns
         if self._moved_ns is None:
             far = abs(stamp_s - now_ns / _NS) > _FAR_S

@@ -67,8 +67,8 @@ class Pump:
 
     def __init__(self, buses: Sequence[str], sink: Sink) -> None:
         """Set up an empty recording; `sink` must have the sources that `opener` creates."""
-        self.frames = [0] * len(buses)
-        self.dropped = [0] * len(buses)
+        self.frames: list[int] = [0] * len(buses)
+        self.dropped: list[int] = [0] * len(buses)
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._buses = list(buses)
@@ -184,7 +184,7 @@ class Series:
             TraceError: the file cannot be written, or an existing file would be overwritten.
         """
         self.paths: list[str] = []
-        self.bytes_before = 0
+        self.bytes_before: int = 0
         self._path = path
         self._open_file = open_file
         self._rotate_bytes = rotate_bytes

@@ -175,9 +175,9 @@ class Lateness:
     """
 
     def __init__(self) -> None:
-        self.count = 0
-        self.worst_ns = 0
-        self.last_ns = 0
+        self.count: int = 0
+        self.worst_ns: int = 0
+        self.last_ns: int = 0
         self._counts: dict[tuple[int, int], int] = {}
 
     def add(self, late_ns: int) -> None:
@@ -242,7 +242,7 @@ class TrafficReplay:
             first_ns: the log time that corresponds to now [ns].
             speed: acceleration factor; None: as fast as the buses take the frames.
         """
-        self.done = Replayed(runtime.now_ns())
+        self.done: Replayed = Replayed(runtime.now_ns())
         self._sinks = sinks
         self._runtime = runtime
         self._first_ns = first_ns

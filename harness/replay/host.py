@@ -144,7 +144,7 @@ class HostPlayer:
         speed: float = 1.0,
         patience_ns: int = PATIENCE_NS,
     ) -> None:
-        self.sent = 0
+        self.sent: int = 0
         self.unsent = 0
         self.missed: list[Missed] = []
         self.pairs: list[tuple[int, int]] = []
@@ -729,7 +729,7 @@ class DrivenRig:
         self.runtime: Runtime = rig.runtime
         self.buses: Sequence[str] = rig.world.bus_names()
         self.lines: Sequence[str] = rig.world.line_names()
-        self.what = str(rig.description.source.path)
+        self.what: str = str(rig.description.source.path)
         self._rig = rig
         self._rests: dict[str, bytearray] = {}  # of incomplete answers, by line
 

@@ -61,8 +61,8 @@ class ExchangePlayer:
 
     def __init__(self, log: ExchangeLog) -> None:
         self.log = log
-        self.matched = 0
-        self.repeated = 0
+        self.matched: int = 0
+        self.repeated: int = 0
         self.mismatches: list[Mismatch] = []
         self._steps = log.steps
         self._commands = [

@@ -70,7 +70,7 @@ class DrivenBuses:
     ) -> None:
         self.buses: Sequence[str] = list(places)
         self.lines: Sequence[str] = []
-        self.what = ", ".join(place.text for place in places.values())
+        self.what: str = ", ".join(place.text for place in places.values())
         self._bit_ns = 1_000_000_000 // (bitrate_bit_s or _BITRATE_BIT_S)
         options = {"bitrate": bitrate_bit_s} if bitrate_bit_s else {}
         with ExitStack() as cleanup:
@@ -176,7 +176,7 @@ class RigSink:
         known = rig.world.bus_names()
         if bus not in known:
             raise PlaceError(f"--on {bus}: the rig has no such bus; available: {', '.join(known)}")
-        self.carries_fd = rig.world.bus(bus).data_bitrate_bit_s is not None
+        self.carries_fd: bool = rig.world.bus(bus).data_bitrate_bit_s is not None
         self._queued = 0
         self._acknowledgements = _Acknowledgements(bus, note)
         self._port = rig.world.add_host(bus, HOST, self._hear, self._hear_error)
@@ -211,13 +211,13 @@ class HubSink:
 
     def __init__(self, place: Place, note: Note) -> None:
         """Connect to the hub. Raises PlaceError if no hub serves there, or if it refuses."""
-        self.name = place.text
+        self.name: str = place.text
         self._acknowledgements = _Acknowledgements(place.text, note)
         try:
             self._link = HubLink.with_all(place.channel)
         except can.CanError as error:
             raise PlaceError(f"--on {place.text}: {error}") from None
-        self.carries_fd = self._link.fd
+        self.carries_fd: bool = self._link.fd
         self._queued = 0
 
     def send(self, frame: bytes) -> None:
@@ -258,12 +258,12 @@ class SocketCanSink:
 
     def __init__(self, place: Place, note: Note) -> None:
         """Open the interface. Raises PlaceError if it cannot be used."""
-        self.name = place.text
+        self.name: str = place.text
         self._acknowledgements = _Acknowledgements(place.text, note)
         self._socket = open_interface(place)
         self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")  # receive no frames
         self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERRORS)
-        self.carries_fd = _mtu(place.channel) >= _FD_MTU
+        self.carries_fd: bool = _mtu(place.channel) >= _FD_MTU
         if self.carries_fd:
             self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
 
@@ -315,10 +315,10 @@ class PythonCanSink:
 
     def __init__(self, place: Place, options: Mapping[str, object]) -> None:
         """Open the bus. Raises PlaceError if it cannot be opened."""
-        self.name = place.text
+        self.name: str = place.text
         self._bus = open_bus(place, options)
         fd = (can.CanProtocol.CAN_FD, can.CanProtocol.CAN_FD_NON_ISO)
-        self.carries_fd = bool(options.get("fd")) or self._bus.protocol in fd
+        self.carries_fd: bool = bool(options.get("fd")) or self._bus.protocol in fd
         self._notifier = can.Notifier(self._bus, [], timeout=0.1)
 
     def send(self, frame: bytes) -> None:

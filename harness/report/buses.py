@@ -188,7 +188,7 @@ class ModbusLine:
         """Set up the collector; events go to `incidents`; `tcp`: the framing is MBAP."""
         if tcp:
             why = "a TCP connection has no bit rate of its own"
-            self.traffic = Traffic(name, "Modbus/TCP", "bit", None, why)
+            self.traffic: Traffic = Traffic(name, "Modbus/TCP", "bit", None, why)
         else:
             self.traffic = Traffic(name, "Modbus RTU", "ns", _NS)
         self._name = name
@@ -393,9 +393,9 @@ class CanBus:
         self._describe = describe
         why = "" if bitrate_bit_s else "its bit rate is not in the recording; give --bitrate"
         capacity = float(bitrate_bit_s) if bitrate_bit_s else None
-        self.traffic = Traffic(name, "CAN", "bit", capacity, why)
-        self.unmapped = 0
-        self.switched = 0
+        self.traffic: Traffic = Traffic(name, "CAN", "bit", capacity, why)
+        self.unmapped: int = 0
+        self.switched: int = 0
         self._rates = bitrate_bit_s, data_bitrate_bit_s
         self._recorded = RecordedBus(name, FRAMES_MEASURED)
         self.untyped: set[int] = set()
@@ -413,7 +413,7 @@ class CanBus:
         self._no_drives: set[int] = set()
         self._is_canopen = False
         self.is_timed = True
-        self.doubts = 0
+        self.doubts: int = 0
         self._doubtful: list[tuple[int, Severity, str]] = []
 
     def take(self, time_ns: int, payload: bytes) -> None:

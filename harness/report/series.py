@@ -49,9 +49,9 @@ class Track:
     def __init__(self, held: bool = False) -> None:
         self.times_ns: array[int] = array("q")
         self.values: array[float] = array("d")
-        self.held = held
+        self.held: bool = held
         self.last: float | None = None
-        self.omitted = 0
+        self.omitted: int = 0
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -103,7 +103,7 @@ class Steps:
         self.times_ns: array[int] = array("q")
         self.codes: array[int] = array("q")
         self.last: int | None = None
-        self.left_out = 0
+        self.left_out: int = 0
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -296,7 +296,7 @@ class Packer:
     """
 
     def __init__(self, span_ns: int) -> None:
-        self.tick_ns = max(1, -(-span_ns // TICKS_MAX))
+        self.tick_ns: int = max(1, -(-span_ns // TICKS_MAX))
         self._parts: list[bytes] = []
         self._size = 0
 

@@ -485,7 +485,7 @@ class Rig:
         record: Path | None = None,
     ) -> None:
         self.description = description
-        self.seed = description.seed if seed is None else seed
+        self.seed: int = description.seed if seed is None else seed
         self.notes: list[str] = []
         self.recording: Recorder | None = None
         self._models = read_models(description)
@@ -493,7 +493,7 @@ class Rig:
         self._memory_files = MemoryFiles(description.folder)
         with ExitStack() as cleanup:
             queue = EventQueue()
-            self.world = World(queue)
+            self.world: World = World(queue)
             started: list[tuple[int, str, str, str]] = []
             self.world.tap_events(lambda *event: started.append(event))
             self._add_buses()
@@ -504,13 +504,13 @@ class Rig:
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
                 self._record(record, started, cleanup)
-            self.runtime = VirtualRuntime(queue, WallPace() if realtime else None)
+            self.runtime: VirtualRuntime = VirtualRuntime(queue, WallPace() if realtime else None)
             cleanup.enter_context(interrupts_between_events(self.runtime))
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
         self._in_use = ExitStack()  # resources of applications; closed before the rest
         self._warns_at_end = False
-        self.faults = RigFaults(self.world)
+        self.faults: RigFaults = RigFaults(self.world)
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
         )

@@ -22,7 +22,7 @@ from typing import Final, final
 
 from motorhil.harness.sharing_tests.history import Action, History, Use, to_line
 from motorhil.harness.sharing_tests.processes import GRACE_S, Plan
-from motorhil.harness.sharing_tests.workers import INSIDE_AT, OVER_AT, PAGE, Desk
+from motorhil.harness.sharing_tests.workers import INSIDE, OVER, Desk
 from motorhil.motorapi.locking.directory import VARIABLE
 
 _POLL_S: Final = 0.1
@@ -37,7 +37,7 @@ class _Arena:
         self.folder, self.plan = folder, plan
         (folder / "locks").mkdir(mode=0o700)
         os.environ[VARIABLE] = str(folder / "locks")
-        self.page = mmap.mmap(-1, mmap.PAGESIZE)
+        self.page = memoryview(mmap.mmap(-1, mmap.PAGESIZE)).cast("q")
         self.log = os.open(folder / "notes", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
         self.random = random.Random(plan.seed)
         self.counts: Counter[str] = Counter()
@@ -83,7 +83,7 @@ class _Arena:
         pid = self.stop_inside() if self.plan.kill_inside else self.random.choice(self.pids)
         if pid is None:
             return
-        self.counts["killed inside"] += PAGE.unpack_from(self.page, INSIDE_AT)[0] == pid
+        self.counts["killed inside"] += self.page[INSIDE] == pid
         self.counts["killed"] += 1
         self._kill(pid)
         self.last_kill_ns = time.monotonic_ns()
@@ -119,9 +119,9 @@ class _Arena:
         """Stop a worker that reports to have the motor; return None if none does for a while."""
         until_s = time.monotonic() + GRACE_S
         while time.monotonic() < until_s:
-            pid: int = PAGE.unpack_from(self.page, INSIDE_AT)[0]
+            pid = self.page[INSIDE]
             if pid in self.numbers and self._stop(pid):
-                if PAGE.unpack_from(self.page, INSIDE_AT)[0] == pid:
+                if self.page[INSIDE] == pid:
                     return pid
                 os.kill(pid, signal.SIGCONT)
             _pass(0.001)
@@ -133,14 +133,14 @@ class _Arena:
         pid = self.stop_inside() if self.plan.pause_inside else self.random.choice(self.pids)
         if pid is None or not (self.plan.pause_inside or self._stop(pid)):
             return
-        self.counts["paused inside"] += PAGE.unpack_from(self.page, INSIDE_AT)[0] == pid
+        self.counts["paused inside"] += self.page[INSIDE] == pid
         self.counts["paused"] += 1
         _pass(self.plan.pause_s)
         os.kill(pid, signal.SIGCONT)
 
     def end(self) -> None:
         """End all workers; kill those that do not end by themselves."""
-        PAGE.pack_into(self.page, OVER_AT, 1)
+        self.page[OVER] = 1
         watches = {os.pidfd_open(pid): pid for pid in self.numbers}
         until_s = time.monotonic() + GRACE_S
         while watches and (left_s := until_s - time.monotonic()) > 0:

@@ -66,8 +66,8 @@ try:
     from hypothesis import event, settings
     from hypothesis import strategies as st
     from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-except ImportError as missing:  # pragma: no cover -- without it nothing here can be tested
-    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from missing
+except ImportError as _missing:  # pragma: no cover -- without it nothing here can be tested
+    raise ImportError("this module needs Hypothesis: pip install 'motorhil[test]'") from _missing
 
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime
@@ -226,9 +226,9 @@ class Owner(Party):
         self.number: Final = number
         self.reservation: Reservation | None = None
         self.lease_s: float | None = None
-        self.is_lost = False
+        self.is_lost: bool = False
         """True if another owner is known to have taken the motor over."""
-        self.used_ns = 0
+        self.used_ns: int = 0
         """The start of the last successful use [ns]; the lease was renewed then or later."""
         self._called_ns = 0
         self._label: Final = label
@@ -509,8 +509,8 @@ class Watch:
 
     def __init__(self, motor: Motor) -> None:
         self.motor: Final = motor
-        self.refuses = False
-        self.was_armed = False
+        self.refuses: bool = False
+        self.was_armed: bool = False
         self.fired: Callable[[], None] = lambda: None
         self._arm = motor._arm  # noqa: SLF001 -- it lets arming fail, as a vendor would
         self._known: list[_WatchedTrigger] = []  # a common trigger stays a single one
@@ -680,8 +680,8 @@ class SharingMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.rig = type(self).make_rig()
-        self.stage = Stage(self.rig, type(self).course)
+        self.rig: Rig = type(self).make_rig()
+        self.stage: Stage = Stage(self.rig, type(self).course)
         self.parties: list[Party] = []
         self.deaths = 0
         try:
@@ -749,7 +749,7 @@ class OwnershipMachine(SharingMachine):
         shared = [motors for motors in self.stage.physical_motors() if len(motors) > 1]
         if not shared:
             raise SharingViolated("no motor of the rig has two logical motors; use shared_rig()")
-        self.label = shared[0][0].logical.physical.label
+        self.label: str = shared[0][0].logical.physical.label
         self.owners: list[Owner] = []
         for number, motor in enumerate(shared[0]):
             self.owners.append(Owner(motor.name, motor, self.label, number, self.stage))

@@ -17,10 +17,8 @@ order. The motors move in every facts["move_every"]-th round. Each completed rou
 of the motor "rounds".
 """
 
-import mmap
 import os
 import random
-import struct
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -48,10 +46,9 @@ from motorhil.motorapi.runtime.wall import WallRuntime
 if TYPE_CHECKING:
     from motorhil.motorapi.ownership.reservation import Reservation
 
-PAGE: Final = struct.Struct("<q")
-OVER_AT: Final = 0
-INSIDE_AT: Final = 8
-_VALUE_AT: Final = 16
+OVER: Final = 0
+INSIDE: Final = 1
+_VALUE: Final = 2
 _PATIENCE_S: Final = 10.0
 _DRIVER_TIMEOUT_S: Final = 60.0
 _TAKEN: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
@@ -66,17 +63,20 @@ class Desk:
         facts: the facts of the plan.
         number, name: identify the worker.
         random: its own random generator.
+        page: numbers that all processes share; one is written as a whole (`struct` writes 0 first).
         history: notes the worker's uses.
     """
 
-    def __init__(self, folder: Path, plan: Plan, number: int, page: mmap.mmap, log: int) -> None:
+    def __init__(
+        self, folder: Path, plan: Plan, number: int, page: "memoryview[int]", log: int
+    ) -> None:
         self.folder: Final = folder
         self.facts: Final = plan.facts
         self.number: Final = number
         self.name: Final = f"{number}"
         self.random: Final = random.Random(f"{plan.seed}:{number}")
         self.history: Final = History(time.monotonic_ns, self._write_use)
-        self._page = page
+        self.page: Final = page
         self._log = log
 
     def _write_use(self, use: Use) -> None:
@@ -85,23 +85,23 @@ class Desk:
     @property
     def is_over(self) -> bool:
         """True when the worker has to end."""
-        return self._read(OVER_AT) != 0
+        return self.page[OVER] != 0
 
     def note_inside(self, inside: bool) -> None:
         """Note whether this worker has the motor, by its own account."""
         if inside:
-            self._write(INSIDE_AT, os.getpid())
-        elif self._read(INSIDE_AT) == os.getpid():
-            self._write(INSIDE_AT, 0)
+            self.page[INSIDE] = os.getpid()
+        elif self.page[INSIDE] == os.getpid():
+            self.page[INSIDE] = 0
 
     @property
     def value(self) -> int:
         """The number in the shared page, the simplest thing to command."""
-        return self._read(_VALUE_AT)
+        return self.page[_VALUE]
 
     @value.setter
     def value(self, value: int) -> None:
-        self._write(_VALUE_AT, value)
+        self.page[_VALUE] = value
 
     def fact(self, name: str, otherwise: float) -> float:
         """Return a number of the plan's facts."""
@@ -112,13 +112,6 @@ class Desk:
         until_ns = time.monotonic_ns() + round(time_s * 1e9)
         while time.monotonic_ns() < until_ns:
             pass
-
-    def _read(self, at: int) -> int:
-        value: int = PAGE.unpack_from(self._page, at)[0]
-        return value
-
-    def _write(self, at: int, value: int) -> None:
-        PAGE.pack_into(self._page, at, value)
 
 
 def work_lock(desk: Desk) -> None:

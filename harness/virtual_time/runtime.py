@@ -17,7 +17,7 @@ than its wall time.
 
 import threading
 import time
-from _thread import allocate_lock  # the real one, never the replacement for programs
+from _thread import LockType, allocate_lock  # the real one, never the replacement for programs
 from collections.abc import Callable
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Protocol, final
@@ -58,11 +58,11 @@ class Waiter:
         deadline_ns: int,
         on_parties: bool = False,
     ) -> None:
-        self.party = party
-        self.done = done
-        self.deadline_ns = deadline_ns
-        self.on_parties = on_parties  # it waits for other parties, not for frames
-        self.result = False
+        self.party: VirtualParty = party
+        self.done: Callable[[], bool] = done
+        self.deadline_ns: int = deadline_ns
+        self.on_parties: bool = on_parties  # it waits for other parties, not for frames
+        self.result: bool = False
         self.error: BaseException | None = None
 
 
@@ -86,8 +86,8 @@ class VirtualParty:
         self.error: BaseException | None = None
         self.finished = False
         self.is_ending = False
-        self.joined = False
-        self.baton = allocate_lock()
+        self.joined: bool = False
+        self.baton: LockType = allocate_lock()
         self.baton.acquire()
         self.thread: threading.Thread | None = None
         self.ident = UNKNOWN
@@ -532,7 +532,7 @@ class WallPace:
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
-        self.late_ns_max = 0
+        self.late_ns_max: int = 0
 
     def __call__(self, due_ns: int) -> None:
         """Sleep until wall time has reached `due_ns`."""

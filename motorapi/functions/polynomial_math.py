@@ -132,8 +132,8 @@ class Exact:
     __slots__ = ("denominator", "numbers")
 
     def __init__(self, numbers: list[int], denominator: int) -> None:
-        self.numbers = numbers
-        self.denominator = denominator
+        self.numbers: list[int] = numbers
+        self.denominator: int = denominator
 
     @classmethod
     def of(cls, coefficients: Iterable[float | Fraction]) -> "Exact":

@@ -261,8 +261,11 @@ class Line:
 
     def __init__(self, data: bytes) -> None:
         self.is_new: Final = len(data) < _LINE.size or data[RECORD_AT:].find(MAGIC) != 0
-        self.token, self.identity = 0, b""
-        self.lease_ns = self.lease_end_ns = self.released = 0
+        self.token: int = 0
+        self.identity: bytes = b""
+        self.lease_ns: int = 0
+        self.lease_end_ns: int = 0
+        self.released: int = 0
         self.record: Final = None if self.is_new else unpack_record(data[RECORD_AT:])
         if not self.is_new:
             told = _LINE.unpack_from(data)
@@ -390,6 +393,8 @@ class LockFile:
             self._fd = fd
             _opened.add(self)
         require_lock(fd, self.name)
+        self.epoch: int
+        self.base: int
         self._note_epoch(0, 0)
         self.look_up()
 

@@ -85,10 +85,10 @@ class TakeoverAttempt:
         self._now_ns: Final = now_ns
         self._describe: Final = describe
         self._lease: Final = LEASE.pack(lease_ns, lease_end_ns)
-        self.token = 0
-        self.lost = 0
-        self.from_identity = b""
-        self.taken_from = ""
+        self.token: int = 0
+        self.lost: int = 0
+        self.from_identity: bytes = b""
+        self.taken_from: str = ""
 
     def make(self) -> Attempt:
         """Take over the lock, or return the reason why not; then nothing has changed."""

@@ -27,8 +27,8 @@ class Watch:
     def __init__(self, place: int, wake: Callable[[], None]) -> None:
         self.place: Final = place
         self.wake: Final = wake
-        self.is_first = False
-        self.is_over = False
+        self.is_first: bool = False
+        self.is_over: bool = False
 
 
 @final

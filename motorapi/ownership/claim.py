@@ -106,7 +106,7 @@ class Claim:
         self.since_ns: Final = asked.owner.runtime.now_ns()
         self.hold: Final = hold
         self.token: Final = token
-        self.reasons = 1
+        self.reasons: int = 1
         self.of: Final = of
         self._loss: Loss | None = None
         self._lease_ns = 0  # used only without a lock between processes that knows the lease

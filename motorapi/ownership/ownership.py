@@ -96,7 +96,7 @@ class WaitQueue:
     """
 
     def __init__(self, claims: "Ownership", notifier: OwnershipNotifier) -> None:
-        self.token = 0
+        self.token: int = 0
         self._claims: Final = claims
         self._notifier: Final = notifier
         self._places: deque[OwnershipRequest] = deque()
@@ -236,8 +236,8 @@ class Ownership:
         interrupt: Callable[[str, int, object, object], bool] = lambda *_: False,
     ) -> None:
         self.lock: Final = lock
-        self.absences = 0
-        self.is_orphan = False
+        self.absences: int = 0
+        self.is_orphan: bool = False
         self.refusal_check: Callable[[], None] = lambda: None
         self._notifier: Final = OwnershipNotifier()
         self.listeners: Final = self._notifier.listeners

@@ -86,10 +86,10 @@ class ActiveMotion:
         self.owner: Final = owner
         self.since_ns: Final = since_ns
         self.motion: Final = motion
-        self.finished = False
+        self.finished: bool = False
         self.error: MotorError | None = None
         self.interrupted_by: str | None = None
-        self.interrupted_at_ns = 0
+        self.interrupted_at_ns: int = 0
 
     def __repr__(self) -> str:
         how = "done" if self.finished else self.interrupted_by or "not known to have ended"
@@ -152,9 +152,9 @@ class PhysicalMotor:
         self.ownership: Final = Ownership(lock, self._end_run_of)
         self.order: Final = (label if lock is None else lock.name, label, serial)
         """The order of transactions of several motors, which prevents deadlocks."""
-        self.token = 0
+        self.token: int = 0
         self.run: ActiveMotion | None = None
-        self.interruptions = 0
+        self.interruptions: int = 0
         """The number of stops, quick stops and halts, by which a start in progress notices one."""
         self.news: ChangeCounter | None = None
         """The change counter of a hardware object that counts every change evaluated by `_is_done`.

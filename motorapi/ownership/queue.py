@@ -32,8 +32,8 @@ class Ticket:
     def __init__(self, who: str, thread: int, since_ns: int) -> None:
         self.who: Final = who
         self.thread: Final = thread
-        self.since_ns = since_ns
-        self.exclusive = False
+        self.since_ns: int = since_ns
+        self.exclusive: bool = False
 
     def busy(self, motor: str) -> MotorBusyError:
         """Return the error that names it as the holder."""
@@ -57,8 +57,8 @@ class FifoQueue:
     def __init__(self, label: str, lock: ProcessLock | None = None) -> None:
         self.label: Final = label
         self.lock: Final = lock
-        self.number = 0
-        self.died = False
+        self.number: int = 0
+        self.died: bool = False
         self._queue: deque[Ticket] = deque()
         self._mutex = threading.Lock()  # of the queue; never held during a wait
 

@@ -108,7 +108,7 @@ class ChangeCounter:
     """
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count: int = 0
         self.listeners: list[Callable[[], None]] = []
 
     def grow(self) -> None:
@@ -124,9 +124,9 @@ class Awaited:
     """An awaited event; `is_over` checks for it, and may raise."""
 
     def __init__(self, news: ChangeCounter | None, is_over: Callable[[], bool]) -> None:
-        self.counts = news is not None
-        self.news = ChangeCounter() if news is None else news
-        self.seen = -1  # last count seen; unchanged without a counter
+        self.counts: bool = news is not None
+        self.news: ChangeCounter = ChangeCounter() if news is None else news
+        self.seen: int = -1  # last count seen; unchanged without a counter
         self.is_over = is_over
 
     def looks_over(self) -> bool:
@@ -143,7 +143,7 @@ class Waiting:
     """Several awaited events; `going` contains those still to come."""
 
     def __init__(self, awaited: list[Awaited]) -> None:
-        self.going = awaited
+        self.going: list[Awaited] = awaited
 
     def all_over(self) -> bool:
         """Return True if all events have happened; past ones are not checked again."""

@@ -67,9 +67,10 @@ class TcpLine:
         self.address: Final = (host, port)
         self.channel_info: Final = self.name  # its name in messages of the runtime
         self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed = self._is_over = False  # by either end; by this one
+        self.is_closed: bool = False  # by either end
+        self._is_over = False  # by this one
         self._failed_s: float | None = None
-        self._socket = self._connected(timeout_s)
+        self._socket: socket.socket = self._connected(timeout_s)
 
     def _connected(self, timeout_s: float) -> socket.socket:
         try:
@@ -188,7 +189,7 @@ class SerialLine:
         self.channel_info: Final = path
         self._character_ns: Final = bits * _NS // baud_bit_s
         self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed = False
+        self.is_closed: bool = False
         self._reads = True
         self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: a pyserial object
 

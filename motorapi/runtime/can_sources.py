@@ -314,11 +314,11 @@ class BusStatus:
             remedy: advice for the user if the bus is off.
         """
         self.name: Final = name
-        self.condition = BusCondition.ACTIVE
+        self.condition: BusCondition = BusCondition.ACTIVE
         self.since_ns: int | None = None
         self.counters: tuple[int, int] | None = None
-        self.is_off = False
-        self.offs = 0
+        self.is_off: bool = False
+        self.offs: int = 0
         self.unacknowledged_ns: int | None = None
         self._off_ns: int | None = None
         self._remedy: Final = remedy

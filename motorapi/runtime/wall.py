@@ -45,7 +45,7 @@ class Timer:
     def __init__(self, period_ns: int, action: Callable[[], None]) -> None:
         self.period_ns = period_ns
         self.action = action
-        self.cancelled = False
+        self.cancelled: bool = False
 
     def cancel(self) -> None:
         """Cancel the timer; cancelling again does nothing."""
@@ -167,7 +167,7 @@ class WallParty:
     def __init__(self, name: str, runtime: "WallRuntime") -> None:
         self.name = name
         self.error: BaseException | None = None
-        self.joined = False
+        self.joined: bool = False
         self.thread: threading.Thread | None = None
         self.finished = False
         self._runtime = runtime
@@ -185,10 +185,10 @@ class _BusLink:
     def __init__(self, bus: "can.BusABC", runtime: "WallRuntime") -> None:
         self.bus = bus
         self.listeners: list[_Listener] = []
-        self.sending = threading.Lock()
+        self.sending: threading.Lock = threading.Lock()
         self.source: FrameSource = source_of(bus)
         self._runtime = runtime
-        self.thread = threading.Thread(
+        self.thread: threading.Thread = threading.Thread(
             target=runtime.run_link,
             args=(self,),
             name=f"listens to {bus.channel_info}",

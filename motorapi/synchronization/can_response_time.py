@@ -36,9 +36,11 @@ All times are integer nanoseconds, rounded up. A frame has the maximum number of
 3 bits of intermission in which no frame may begin.
 """
 
+from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from heapq import heapify, heapreplace
 from itertools import islice
 from typing import Final, final
 
@@ -54,6 +56,9 @@ from motorhil.motorapi.synchronization.can_frame_length import (
 RECOVERY_BITS: Final = 31
 _ROUNDS_MAX: Final = 100_000
 _INSTANCES_MAX: Final = 20_000
+_ENDS_MAX: Final = 1 << 16
+_STEPS_A_ROUND: Final = 4
+_STEPS_AN_END: Final = 2
 STEPS_MAX: Final = 4_000_000
 
 
@@ -69,7 +74,7 @@ class Effort:
     """
 
     def __init__(self, steps: int = STEPS_MAX) -> None:
-        self.left = steps
+        self.left: int = steps
 
     def allows(self, steps: int) -> bool:
         """Take some steps; return False if the analysis is to end."""
@@ -265,12 +270,37 @@ class Response:
         return self.response_ns is not None and self.response_ns <= self.message.deadline_ns
 
 
+Lateness = dict[int, int | None]
+"""Delay in a shared queue by rank [ns]; None: unbounded.
+
+That of few errors is a lower bound of that of more errors: there the search begins.
+"""
+
+
 def response_times(
-    load: BusLoad, errors: ErrorModel = NO_ERRORS, effort: Effort | None = None
+    load: BusLoad,
+    errors: ErrorModel = NO_ERRORS,
+    effort: Effort | None = None,
+    lateness: Lateness | None = None,
+    asked: Collection[int] | None = None,
 ) -> tuple[Response, ...]:
-    """Return the worst case of every message, the most urgent first."""
-    levels = _levels(load, errors, effort)
-    return tuple(levels.response(flow) for flow in levels.flows)
+    """Return the worst case of every message, the most urgent first.
+
+    Args:
+        load: the messages.
+        errors: the error model.
+        effort: the steps that it may take; None: `STEPS_MAX`.
+        lateness: the result for fewer errors, or empty; updated with that for these errors.
+        asked: ranks of messages of which only the verdict is needed; of a late one, the case is the
+            first that is late. None: all messages, with their worst case.
+    """
+    levels = _levels(load, errors, effort, lateness)
+    levels.settle()
+    levels.tell(lateness)
+    if asked is None:
+        return tuple(levels.response(flow) for flow in levels.flows)
+    flows = (flow for flow in levels.flows if flow.rank in asked)
+    return tuple(levels.response(flow, is_worst=False) for flow in flows)
 
 
 def are_in_time(
@@ -278,6 +308,7 @@ def are_in_time(
     errors: ErrorModel = NO_ERRORS,
     effort: Effort | None = None,
     doubtful: Collection[int] = (),
+    lateness: Lateness | None = None,
 ) -> bool:
     """Return True if every message with a deadline is known to meet it.
 
@@ -286,13 +317,14 @@ def are_in_time(
         errors: the error model.
         effort: the steps that it may take; None: `STEPS_MAX`.
         doubtful: ranks of messages to examine first, since they are likely to be late.
+        lateness: the result for fewer errors, or empty; updated if all are in time.
     """
-    levels = _levels(load, errors, effort, settled=False)
+    levels = _levels(load, errors, effort, lateness)
     timed = [flow for flow in reversed(levels.flows) if flow.message.deadline_ns is not None]
     timed.sort(key=lambda flow: flow.rank not in doubtful)
 
     def are_on_time(flows: list[Flow]) -> bool:
-        return all(levels.response(flow).is_in_time for flow in flows)
+        return all(levels.response(flow, is_worst=False).is_in_time for flow in flows)
 
     # Shared queues only add to these times: a message that is late before all is settled stays so.
     if levels.has_queues and not are_on_time(timed):
@@ -301,7 +333,10 @@ def are_in_time(
     while levels.settle_further():
         if not are_on_time(doubted):
             return False
-    return are_on_time(timed)
+    if not are_on_time(timed):
+        return False
+    levels.tell(lateness)
+    return True
 
 
 def response_between(
@@ -329,7 +364,7 @@ def response_between(
 
 
 def _levels(
-    load: BusLoad, errors: ErrorModel, effort: Effort | None, *, settled: bool = True
+    load: BusLoad, errors: ErrorModel, effort: Effort | None, lateness: Lateness | None
 ) -> "_Levels":
     flows = sorted((Flow.of(load, message) for message in load.messages), key=lambda f: f.rank)
     queues: dict[str, list[Flow]] = {}
@@ -337,11 +372,10 @@ def _levels(
         sender = flow.message.sender
         if sender and sender in load.fifo:
             queues.setdefault(sender, []).append(flow)
+            if lateness:
+                flow.late_ns = lateness[flow.rank]
     shared = [queue for queue in queues.values() if len(queue) > 1]
-    levels = _Levels(flows, shared, errors, load, effort)
-    if settled:
-        levels.settle()
-    return levels
+    return _Levels(flows, shared, errors, load, effort)
 
 
 @final
@@ -427,6 +461,11 @@ class _Levels:
         while self.settle_further():
             pass
 
+    def tell(self, lateness: Lateness | None) -> None:
+        """Put the lateness of every message into this table, if it is settled."""
+        if lateness is not None and not self.effort.is_over():
+            lateness.update((flow.rank, flow.late_ns) for flow in self.flows)
+
     def settle_further(self) -> bool:
         """Compute the lateness of every shared queue once; return True if one has changed."""
         changed = False
@@ -440,13 +479,19 @@ class _Levels:
                     changed = True
         return changed
 
-    def response(self, flow: Flow) -> Response:
-        """Return the worst case of one message; without a bound if the effort is over."""
+    def response(self, flow: Flow, *, is_worst: bool = True) -> Response:
+        """Return the worst case of one message; without a bound if the effort is over.
+
+        `is_worst` False: the first case that is late, if there is one.
+        """
         if self.effort.is_over():
             return Response(flow.message, flow.takes_ns, None, None, 0, None, 0)
         level = self._level(flow)
         busy_ns = level.busy_ns()
         worst_ns: int | None = None
+        is_periodic = flow.message.arrival is Arrival.PERIODIC
+        delay_ns = flow.message.jitter_ns if is_periodic else 0
+        last_ns = None if is_worst else flow.message.deadline_ns
         instance = 0
         if busy_ns is not None:
             for number, (at_ns, waited_ns) in enumerate(level.instances(flow, busy_ns)):
@@ -456,8 +501,10 @@ class _Levels:
                 took_ns = waited_ns + flow.takes_ns - at_ns
                 if worst_ns is None or took_ns > worst_ns:
                     worst_ns, instance = took_ns, number
-        if worst_ns is not None and flow.message.arrival is Arrival.PERIODIC:
-            worst_ns += flow.message.jitter_ns
+                    if last_ns is not None and took_ns + delay_ns > last_ns:
+                        break
+        if worst_ns is not None:
+            worst_ns += delay_ns
         return Response(
             message=flow.message,
             takes_ns=flow.takes_ns,
@@ -505,6 +552,67 @@ class _Levels:
 
 
 @final
+class _Competitors:
+    """The more urgent frames that start to compete in a window, as a function of its length.
+
+    The function is a staircase. Its steps are found once, as far as they are needed.
+    """
+
+    def __init__(self, effort: Effort, terms: list[tuple[int, int, int, int, int]]) -> None:
+        self._effort = effort
+        self._terms = terms
+        self._ends_ns: list[int] = []  # one more frame competes in any longer window
+        self._sums_ns: list[int] | None = None  # duration of the frames before each end
+        self._next: list[tuple[int, int, int]] = []  # heap: end, number of the term, its frames
+
+    def take_ns(self, window_ns: int) -> int:
+        """Return the duration of the frames that start to compete in a half-open window [ns]."""
+        if self._sums_ns is None:
+            self._sums_ns = [self._begin()]
+        ends_ns, sums_ns, coming = self._ends_ns, self._sums_ns, self._next
+        known = len(ends_ns)
+        while coming and coming[0][0] < window_ns:
+            if len(ends_ns) >= _ENDS_MAX:
+                self._effort.allows(len(self._terms))
+                return sum(_count(term, window_ns) * term[-1] for term in self._terms)
+            end_ns, number, count = coming[0]
+            period_ns, early_ns, late_ns, distance_ns, takes_ns = self._terms[number]
+            ends_ns.append(end_ns)
+            sums_ns.append(sums_ns[-1] + takes_ns)
+            count += 1
+            end_ns = count * period_ns - early_ns
+            if distance_ns:
+                end_ns = max(end_ns, count * distance_ns - late_ns)
+            heapreplace(coming, (end_ns, number, count))
+        if len(ends_ns) > known:
+            self._effort.allows(_STEPS_AN_END * (len(ends_ns) - known))
+            return sums_ns[-1]
+        return sums_ns[bisect_left(ends_ns, window_ns)]
+
+    def _begin(self) -> int:
+        """Find the first end of each message; return the duration of all frames before it [ns]."""
+        self._effort.allows(len(self._terms))
+        total_ns = 0
+        for number, term in enumerate(self._terms):
+            period_ns, early_ns, late_ns, distance_ns, takes_ns = term
+            count = _count(term, 0)
+            end_ns = count * period_ns - early_ns
+            if distance_ns:
+                end_ns = max(end_ns, count * distance_ns - late_ns)
+            self._next.append((end_ns, number, count))
+            total_ns += count * takes_ns
+        heapify(self._next)
+        return total_ns
+
+
+def _count(term: tuple[int, int, int, int, int], window_ns: int) -> int:
+    """Return the number of frames of a message that start to compete in a window."""
+    period_ns, early_ns, late_ns, distance_ns, _ = term
+    count = -(-(window_ns + early_ns) // period_ns)
+    return min(count, -(-(window_ns + late_ns) // distance_ns)) if distance_ns else count
+
+
+@final
 class _Level:
     """Everything that the messages of one queue wait for.
 
@@ -521,10 +629,12 @@ class _Level:
         others = [one for one in levels.flows if id(one) not in mates]
         self._higher = [one for one in others if one.rank < last]
         self._terms = [one.term() for one in self._higher]
+        self._competitors = _Competitors(levels.effort, self._terms)
         self.blocking_ns = max((one.takes_ns for one in others if one.rank > last), default=0)
         self._longest_ns = max(one.takes_ns for one in (*queue, *self._higher))
         self._busy_ns: int | None = None
         self._waits: dict[tuple[int, int], int | None] = {}
+        self._waited: dict[tuple[int, int], int | None] = {}  # the same with less lateness
         self._queued_ns: dict[int, int] = {}  # the work of the queue, by time
         self._done: set[int] = set()  # identities of messages whose lateness is up to date
 
@@ -533,7 +643,9 @@ class _Level:
         terms = [one.term() for one in self._higher]
         if terms != self._terms:
             self._terms = terms
+            self._competitors = _Competitors(self._levels.effort, terms)
             self._busy_ns = None
+            self._waited |= self._waits
             self._waits.clear()
             self._done.clear()
 
@@ -559,10 +671,10 @@ class _Level:
             return None
         busy_ns = sum(one.takes_ns for one in self._queue)  # each is queued once at least
         for _ in range(_ROUNDS_MAX):
-            if not self._levels.effort.allows(len(level)):
+            if not self._levels.effort.allows(len(self._queue) + _STEPS_A_ROUND):
                 return None
             again_ns = self._levels.errors_ns(busy_ns, self._longest_ns) + self.blocking_ns
-            again_ns += self._competing_ns(busy_ns)
+            again_ns += self._competitors.take_ns(busy_ns)
             again_ns += sum(one.queued_by(busy_ns - 1) * one.takes_ns for one in self._queue)
             if again_ns <= busy_ns:
                 return busy_ns
@@ -608,18 +720,6 @@ class _Level:
             self._queued_ns[at_ns] = found
         return found
 
-    def _competing_ns(self, window_ns: int) -> int:
-        """Return the duration of more urgent frames that start to compete in a half-open window."""
-        total_ns = 0
-        for period_ns, early_ns, late_ns, distance_ns, takes_ns in self._terms:
-            count = -(-(window_ns + early_ns) // period_ns)
-            if distance_ns:
-                least = -(-(window_ns + late_ns) // distance_ns)
-                if least < count:
-                    count = least
-            total_ns += count * takes_ns
-        return total_ns
-
     def _waited_ns(self, takes_ns: int, before_ns: int, least_ns: int) -> int | None:
         """Return the start time of a frame after `before_ns` of its queue; None: no bound.
 
@@ -627,6 +727,7 @@ class _Level:
         """
         key = (takes_ns if self._levels.has_intervals else 0, before_ns)
         if key not in self._waits:
+            least_ns = max(least_ns, self._waited.get(key) or 0)
             self._waits[key] = self._first_start_ns(takes_ns, before_ns, least_ns)
         return self._waits[key]
 
@@ -634,11 +735,11 @@ class _Level:
         fixed_ns = self.blocking_ns + before_ns
         waited_ns = max(least_ns, fixed_ns)
         for _ in range(_ROUNDS_MAX):
-            if not self._levels.effort.allows(len(self._terms) + 1):
+            if not self._levels.effort.allows(_STEPS_A_ROUND):
                 return None
             again_ns = fixed_ns
             again_ns += self._levels.errors_ns(waited_ns + takes_ns, self._longest_ns)
-            again_ns += self._competing_ns(waited_ns + self._levels.bit_ns)
+            again_ns += self._competitors.take_ns(waited_ns + self._levels.bit_ns)
             if again_ns <= waited_ns:
                 return waited_ns
             waited_ns = again_ns

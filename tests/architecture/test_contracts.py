@@ -164,6 +164,12 @@ PLANTS = [
         "clauses.identity -> motorhil.harness.rig.rig",
     ),
     (
+        "drive-clauses",
+        "harness/conformance/drives/clauses/power.py",
+        "import motorhil.emulators.cia402.state_machine",
+        "clauses.power -> motorhil.emulators.cia402.state_machine",
+    ),
+    (
         "oracles-alone",
         "harness/oracles/facts.py",
         "import motorhil.motorapi.model",

@@ -1,10 +1,16 @@
-"""docs/reference/clauses.md contains the kit's promises."""
+"""The generated pages contain the promises of both kits."""
 
-from motorhil.harness.conformance.kit import page
+import pytest
+
+from motorhil.harness.conformance import kit
+from motorhil.harness.conformance.drives import kit as drive_kit
 from tests.support.checkout import CHECKOUT
 
-PAGE = CHECKOUT / "docs" / "reference" / "clauses.md"
+PAGES = CHECKOUT / "docs" / "reference"
 
 
-def test_clauses_page_is_up_to_date():
-    assert PAGE.read_text() == page(), "make clauses writes it anew"
+@pytest.mark.parametrize(
+    ("name", "page"), [("clauses.md", kit.page), ("drive-clauses.md", drive_kit.page)]
+)
+def test_clauses_page_is_up_to_date(name, page):
+    assert (PAGES / name).read_text() == page(), "make clauses writes it anew"

@@ -278,14 +278,18 @@ def with_a_bug(tmp_path, monkeypatch):
     return ("--adaptation", MISBEHAVING, "-o", str(tmp_path / "records"))
 
 
-def test_one_bug_is_told_once(with_a_bug, capfd):
-    assert main(["conform", *with_a_bug, *THREE]) == 1
+def test_one_bug_is_one_group(with_a_bug, capfd, tmp_path):
+    found = tmp_path / "found.json"
+    assert main(["conform", *with_a_bug, *THREE, "--json", str(found)]) == 1
     out = capfd.readouterr().out
-    assert out.count("a bug of the motor") == 1
     crashed = [line for line in out.splitlines() if " crashed " in line and line[:1].isupper()]
     assert len(crashed) > 1
     first = crashed[0].split()[0]
     assert all(line.endswith(f"  the same as {first}") for line in crashed[1:])
+    (group,) = json.loads(found.read_text())["groups"]
+    assert "LookupError: a bug of the motor, in " in group["cause"]
+    assert [group["first"], *group["others"]] == [line.split()[0] for line in crashed]
+    assert f"1. {group['cause']} ({len(crashed)} clauses)" in out
 
 
 def test_fail_fast_ends_after_the_first_bad_clause(with_a_bug, capfd, tmp_path):

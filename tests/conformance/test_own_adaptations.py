@@ -19,7 +19,7 @@ _OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04")
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
-        *("LIM-05", "LEAD-01", "SYNC-06", "SYNC-11"),
+        *("LIM-05", "LEAD-01", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08"),
         *_OF_CAN,
     }
@@ -30,14 +30,15 @@ NOT_APPLICABLE = {
         {
             *("STATE-02", "MEAS-02", "MEAS-03", "MEAS-05"),  # no load
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
-            *("HEAR-01", "HEAR-02", "HEAR-03", "SHARE-02", "SYNC-05", "SYNC-06"),  # no bus
+            *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
+            *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
             *(f"LOST-{number:02}" for number in range(1, 11)),
             *_OF_CAN,
         }
     ),
     "leadshine": _POLLED,
     "oriental_az": _POLLED,
-    "software": frozenset({"MEAS-02", "SET-05", "SYNC-05"}),
+    "software": frozenset({"HEAR-05", "MEAS-02", "SET-05", "SYNC-05"}),
 }
 
 

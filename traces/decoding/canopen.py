@@ -190,7 +190,7 @@ class CanopenDecoder:
         objects: Mapping[int, ObjectNames] | None = None,
     ) -> None:
         """Create a decoder with the names of nodes and the objects of those with an EDS."""
-        self.maps = PdoMaps()
+        self.maps: PdoMaps = PdoMaps()
         self._node_names = dict(node_names or {})
         self._objects = dict(objects or {})
         self._standard = ObjectNames()

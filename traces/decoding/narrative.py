@@ -159,7 +159,7 @@ class Story:
             describe: returns the message in a frame, if it knows that; None: nothing does.
         """
         self._describe = describe
-        self.names = names_of(trace.attachments) if names is None else names
+        self.names: RecordedNames = names_of(trace.attachments) if names is None else names
         self._trace = trace
         self._has_learned = False
         self._buses: dict[str, CanopenDecoder] = {}

@@ -100,7 +100,7 @@ class CanopenExchanges:
                 logged once, whatever its values.
         """
         self._any_set_point = any_set_point
-        self.decoder = CanopenDecoder(names, objects)
+        self.decoder: CanopenDecoder = CanopenDecoder(names, objects)
         self._bus = bus
         self._begin_ns = begin_ns
         self._numbers = {name: number for number, name in (names or {}).items()}

@@ -305,7 +305,7 @@ class HostCutter:
         self._listener = listener
         self._length_ns = length_ns
         self._side = side or HostSide()
-        self.unsent = 0
+        self.unsent: int = 0
         # Each with its place in the recording, because stamps can be equal.
         self._sent: list[tuple[int, HostStep]] = []
         self._told: list[tuple[int, Told]] = []

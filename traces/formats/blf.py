@@ -72,7 +72,7 @@ def blf_frames(path: str, findings: Findings, memory_max: int = MEMORY_MAX) -> I
     Raises:
         TraceError: the file cannot be read, or is not a BLF file.
     """
-    with open_content(path, lambda text: findings.problem(0, text)) as file:
+    with open_content(path, lambda text: findings.problem(0, text), memory_max) as file:
         data = file.read()
     if data[:4] != MAGIC:
         raise TraceError(path, "is not a BLF file")

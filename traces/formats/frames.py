@@ -50,13 +50,13 @@ class Findings:
     """
 
     def __init__(self) -> None:
-        self.frames = 0
+        self.frames: int = 0
         self.problems: list[Problem] = []
         self.notes: list[str] = []
         self.comments = 0
         self.unstamped = 0
-        self.backward = 0
-        self.largest_step_back_ns = 0
+        self.backward: int = 0
+        self.largest_step_back_ns: int = 0
         self.line = 0
 
     def note(self, text: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, Final, final
 
 from motorhil.traces import can_frame
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import open_content
+from motorhil.traces.files import MEMORY_MAX, open_content
 from motorhil.traces.formats.frames import NS, Findings, Frame, bus_numbers
 from motorhil.traces.schema import Direction
 
@@ -35,7 +35,7 @@ _HISTORY: Final = (
 _FACTOR: Final = 1e-9
 
 
-def mf4_frames(path: str, findings: Findings) -> Iterator[Frame]:
+def mf4_frames(path: str, findings: Findings, memory_max: int = MEMORY_MAX) -> Iterator[Frame]:
     """Yield the frames of an MDF file by time.
 
     Raises:
@@ -43,7 +43,7 @@ def mf4_frames(path: str, findings: Findings) -> Iterator[Frame]:
     """
     remedy = "pip install 'motorhil[mf4]', or convert it to ASC or BLF"
     asammdf = _library(path, "is an MDF 4 file, which asammdf reads", remedy)
-    with open_content(path, lambda text: findings.problem(0, text)) as content:
+    with open_content(path, lambda text: findings.problem(0, text), memory_max) as content:
         if content.read(_HEAD_AT + 4)[_HEAD_AT:] != b"##HD":
             raise TraceError(path, f"is not a readable MDF 4 file: no head at byte {_HEAD_AT}")
         content.seek(0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import open_content
+from motorhil.traces.files import MEMORY_MAX, open_content
 from motorhil.traces.schema import Direction
 
 MAGIC: Final = b"\x0a\x0d\x0d\x0a"
@@ -104,10 +104,10 @@ class Capture:
         TraceError: the file cannot be opened, or is not a capture.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> None:
         self.path: Final = os.fspath(path)
         self.problems: list[str] = []
-        with open_content(self.path, self.problems.append) as file:
+        with open_content(self.path, self.problems.append, memory_max) as file:
             self._data = file.read()
         start = self._data[:4]
         if start not in PCAP and start != MAGIC:

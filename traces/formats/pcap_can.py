@@ -34,13 +34,13 @@ def is_capture(head: bytes) -> bool:
     return head[:4] == MAGIC or head[:4] in PCAP
 
 
-def captured_frames(path: str, findings: Findings) -> Iterator[Frame]:
+def captured_frames(path: str, findings: Findings, memory_max: int) -> Iterator[Frame]:
     """Yield the CAN frames of a capture in order; other packets are counted in a note.
 
     Raises:
         TraceError: the file cannot be read, or is not a capture.
     """
-    capture = Capture(path)
+    capture = Capture(path, memory_max)
     others: Counter[int] = Counter()  # by link type
     for packet in capture.packets():
         try:

@@ -21,6 +21,7 @@ from enum import Flag, auto
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import BinaryIO, Final, NamedTuple, final
 
+from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.modbus import Adu, Malformed, RecordedAdu, adus
 from motorhil.traces.formats.pcap import Capture, Packet, PcapngWriter
@@ -253,23 +254,25 @@ def _check_sum(data: bytes) -> int:
     return ~total & 0xFFFF
 
 
-def captured_adus(path: str, findings: Findings) -> Iterator[RecordedAdu]:
+def captured_adus(
+    path: str, findings: Findings, memory_max: int = MEMORY_MAX
+) -> Iterator[RecordedAdu]:
     """Yield the ADUs of a capture, in order of their completion.
 
     Raises:
         TraceError: the file cannot be read, or is not a capture.
     """
-    for one in _Reader(path, findings).adus():
+    for one in _Reader(path, findings, memory_max).adus():
         findings.frames += 1
         yield one
 
 
 @final
 class _Reader:
-    def __init__(self, path: str, findings: Findings) -> None:
+    def __init__(self, path: str, findings: Findings, memory_max: int) -> None:
         self._path = path
         self._findings = findings
-        self._capture = Capture(path)
+        self._capture = Capture(path, memory_max)
         self._ours: dict[int, tuple[str, str | None]] = {}  # line and sender, by packet
         self._serial: deque[Packet] = deque()
 

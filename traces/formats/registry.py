@@ -14,6 +14,7 @@ from typing import BinaryIO, Final, final
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import (
+    COPY_AGAIN,
     MEMORY_MAX,
     head_of,
     open_content,
@@ -171,9 +172,9 @@ class Survey:
 
     def __init__(self) -> None:
         self.buses: list[str] = []
-        self.first_ns = 0
-        self.lowest_ns = 0
-        self.frames = 0
+        self.first_ns: int = 0
+        self.lowest_ns: int = 0
+        self.frames: int = 0
         self.counts: dict[Feature, int] = {}
         self._last = (0, 0)
 
@@ -324,12 +325,14 @@ class Source:
             yield from blf.blf_frames(self.path, findings, self.memory_max)
             return
         if self.format == "mf4":
-            yield from mf4.mf4_frames(self.path, findings)
+            yield from mf4.mf4_frames(self.path, findings, self.memory_max)
             return
         if self.format == "pcap":
-            yield from pcap_can.captured_frames(self.path, findings)
+            yield from pcap_can.captured_frames(self.path, findings, self.memory_max)
             return
-        content = open_content(self.path, lambda text: findings.problem(findings.line, text))
+        content = open_content(
+            self.path, lambda text: findings.problem(findings.line, text), self.memory_max
+        )
         with TextIOWrapper(content, self.encoding, "replace", "\n") as file:
             try:
                 yield from read_lines(file, _LINE_READERS[self.format](), findings)
@@ -377,9 +380,9 @@ def open_source(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> S
     if head.startswith(blf.MAGIC):
         return Source(name, "blf", memory_max)
     if head.startswith(mf4.MAGIC):
-        return Source(name, "mf4")
+        return Source(name, "mf4", memory_max)
     if pcap_can.is_capture(head):
-        return Source(name, "pcap")
+        return Source(name, "pcap", memory_max)
     encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "utf-8")
     lines = head.decode(encoding, errors="replace").splitlines()[:_HEAD_LINES]
     for line in lines:
@@ -387,5 +390,9 @@ def open_source(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> S
             if looks(line):
                 return Source(name, format_name, memory_max, encoding)
     known = ", ".join(["mcap", "blf", "mf4", "pcap", *_LINE_READERS])
+    damage: list[str] = []
+    open_content(name, damage.append, memory_max).close()
+    if damage:
+        raise TraceError(name, damage[0], remedy=COPY_AGAIN)
     what, remedy = stranger(head) or ("holds no CAN traffic in a format known here", "")
     raise TraceError(name, what, remedy=remedy or f"formats are {known}")

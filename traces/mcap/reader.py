@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import MEMORY_MAX, open_content, refuse_pipe
+from motorhil.traces.files import MEMORY_MAX, NOT_MCAP, open_content, refuse_pipe, stranger
 from motorhil.traces.mcap import records
 from motorhil.traces.mcap.records import (
     Attachment,
@@ -106,7 +106,7 @@ def read_trace(path: str | os.PathLike[str], memory_max: int = MEMORY_MAX) -> "T
     """
     name = os.fspath(path)
     refuse_pipe(name)
-    file = open_content(name)
+    file = open_content(name, memory_max=memory_max)
     try:
         return Trace(name, file, memory_max)
     except BaseException:
@@ -131,12 +131,12 @@ class Trace:
     def __init__(self, path: str, file: BinaryIO, memory_max: int = MEMORY_MAX) -> None:
         """Scan an open file; use `read_trace` instead."""
         self.path = path
-        self.library = ""
+        self.library: str = ""
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[Attachment] = []
         self.channels: dict[int, Channel] = {}
         self.cut: Cut | None = None
-        self.salvaged = 0
+        self.salvaged: int = 0
         self._file = file
         self._memory_max = memory_max
         self._schemas: dict[int, Schema] = {}
@@ -256,8 +256,7 @@ class Trace:
         """Read everything except the messages; set `cut` to the end of complete records."""
         if not self._scanned:
             if self._read(0, len(records.MAGIC)) != records.MAGIC:
-                what = "is empty" if not self._size else "is not an MCAP file"
-                remedy = "give a recording, as `--record` makes them"
+                what, remedy = stranger(self._read(0, 1 << 16)) or NOT_MCAP
                 raise TraceError(self.path, what, remedy=remedy)
             self._scanned = len(records.MAGIC)
         self.cut = None

@@ -308,7 +308,7 @@ def decompress(compression: str, data: bytes, size: int, memory_max: int = MEMOR
     return content
 
 
-def salvage(compression: str, data: bytes) -> bytes:
+def salvage(compression: str, data: bytes, memory_max: int = MEMORY_MAX) -> bytes:
     """Return as much as possible of data whose end is missing; zstd yields whole blocks."""
     if not compression:
         return data
@@ -321,7 +321,7 @@ def salvage(compression: str, data: bytes) -> bytes:
         for start in range(0, len(data), _PIECE):
             out.append(stream.decompress(data[start : start + _PIECE]))
             size += len(out[-1])
-            if size > MEMORY_MAX:
+            if size > memory_max:
                 break
     except zstandard.ZstdError:  # the end is not only missing but overwritten
         pass

@@ -25,7 +25,14 @@ from typing import BinaryIO, Final, NamedTuple, final
 import zstandard
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.files import refuse_pipe, unreadable, whole_file
+from motorhil.traces.files import (
+    MEMORY_MAX,
+    NOT_MCAP,
+    refuse_pipe,
+    stranger,
+    unreadable,
+    whole_file,
+)
 from motorhil.traces.mcap import records
 from motorhil.traces.mcap.records import CompressionError, decompress, salvage
 from motorhil.traces.mcap.writer import Summary
@@ -115,7 +122,7 @@ def record_at(file: mmap | bytes, offset: int) -> Record | None:
     return Record(opcode, offset, end, content) if is_whole else None
 
 
-def chunk_in(content: bytes) -> Chunk | None:
+def chunk_in(content: bytes, memory_max: int) -> Chunk | None:
     """Parse the content of a chunk record; None if it is damaged.
 
     The length of its data follows from the end of the content, not from its length field.
@@ -126,7 +133,7 @@ def chunk_in(content: bytes) -> Chunk | None:
     first, last, size, crc, compression, at = fields
     data = content[at:]
     try:
-        inside = decompress(compression, data, size)
+        inside = decompress(compression, data, size, memory_max)
     except CompressionError:
         return None
     if crc and zlib.crc32(inside) != crc:
@@ -156,6 +163,27 @@ def messages_in(content: bytes) -> Iterator[tuple[int, int, int, int]]:
     The time is 0 for records other than messages.
 
     Raises:
+        ValueError: a record exceeds the chunk or is damaged, or the rest is not a record.
+    """
+    for opcode, offset, end in _records_in(content):
+        time_ns = 0
+        if opcode == records.MESSAGE:
+            (time_ns,) = records.UINT64.unpack_from(content, offset + _HEAD_SIZE + 6)
+        elif not _is_sound(opcode, content[offset + _HEAD_SIZE : end]):
+            raise ValueError(f"the fields of {_NAMES[opcode]} go beyond it")
+        yield opcode, offset, end, time_ns
+
+
+def _is_sound(opcode: int, content: bytes) -> bool:
+    """Return False for a description of messages whose fields do not fill it."""
+    shape = _SHAPES[opcode] if opcode in (records.SCHEMA, records.CHANNEL) else None
+    return shape is None or _fits(content, shape)
+
+
+def _records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield (opcode, offset, end) of each record in a chunk.
+
+    Raises:
         ValueError: a record exceeds the chunk, or the rest is not a record.
     """
     offset, size = 0, len(content)
@@ -167,29 +195,26 @@ def messages_in(content: bytes) -> Iterator[tuple[int, int, int, int]]:
         end = offset + _HEAD_SIZE + length
         if end > size or (opcode == records.MESSAGE and length < 22):
             raise ValueError("a record goes beyond the chunk")
-        time_ns = 0
-        if opcode == records.MESSAGE:
-            (time_ns,) = records.UINT64.unpack_from(content, offset + _HEAD_SIZE + 6)
-        yield opcode, offset, end, time_ns
+        yield opcode, offset, end
         offset = end
 
 
-def next_record(file: mmap | bytes, offset: int) -> int | None:
+def next_record(file: mmap | bytes, offset: int, memory_max: int) -> int | None:
     """Return the first offset >= `offset` of a record with a valid successor; None if none."""
     for found in _BEGINNING.finditer(file, offset):
-        if is_followed(file, found.start()):
+        if is_followed(file, found.start(), memory_max):
             return found.start()
     return None
 
 
-def is_followed(file: mmap | bytes, offset: int) -> bool:
+def is_followed(file: mmap | bytes, offset: int, memory_max: int) -> bool:
     """Return True if a complete record begins here, followed by another or by the file's end."""
     record = record_at(file, offset)
     if record is None:
         return False
     if record.opcode == records.FOOTER:
         return file[record.end : record.end + len(records.MAGIC)] == records.MAGIC
-    if record.opcode == records.CHUNK and chunk_in(record.content) is not None:
+    if record.opcode == records.CHUNK and chunk_in(record.content, memory_max) is not None:
         return True
     return record.end == len(file) or record_at(file, record.end) is not None
 
@@ -228,7 +253,7 @@ class Assembly:
             file: open for writing, empty; its OSError is passed on to the caller.
             indexed: True to write a message index after each chunk.
         """
-        self.messages = 0
+        self.messages: int = 0
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._file = file
@@ -343,18 +368,30 @@ class Assembly:
         return number in self._channels
 
     def content(self, content: bytes) -> list[int]:
-        """Write message records as a chunk of their own, like `chunk`."""
-        times = [time_ns for opcode, _, _, time_ns in messages_in(content) if opcode == 5]
+        """Write message records as a chunk of their own, like `chunk`, after their descriptions."""
+        times: list[int] = []
+        messages: list[bytes] = []
+        for opcode, offset, end, time_ns in messages_in(content):
+            if opcode == records.MESSAGE:
+                times.append(time_ns)
+                messages.append(content[offset:end])
+            elif opcode == records.SCHEMA:
+                self.schema(content[offset + _HEAD_SIZE : end])
+            elif opcode == records.CHANNEL:
+                self.channel(content[offset + _HEAD_SIZE : end])
+        if not messages:
+            return []
+        content = b"".join(messages)
         data = zstandard.ZstdCompressor(level=_LEVEL).compress(content)
-        first, last = (min(times), max(times)) if times else (0, 0)
-        return self.chunk(Chunk(first, last, zlib.crc32(content), "zstd", data, content))
+        return self.chunk(Chunk(min(times), max(times), zlib.crc32(content), "zstd", data, content))
 
     def end(self) -> None:
         """Complete the file."""
         for opcode, number in self._spare:
             if opcode == records.CHANNEL:
                 self._name(number)
-        self._put(self._summary.ending(self._offset, self._crc))
+        for data in self._summary.ending(self._offset, self._crc):
+            self._put(data)
 
     def _put_chunk(self, chunk: Chunk, places: dict[int, list[int]]) -> None:
         times = [time for of_channel in places.values() for time in of_channel[::2]]
@@ -440,8 +477,16 @@ class Recovery:
         return sum((loss.last_ns or 0) - (loss.first_ns or 0) for loss in self.losses)
 
 
-def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
+def recover(
+    source: str, target: str, overwrite: bool = False, memory_max: int = MEMORY_MAX
+) -> Recovery:
     """Write a complete recording `target` with everything recoverable from `source`.
+
+    Args:
+        source: the damaged file.
+        target: the file to write.
+        overwrite: True to replace an existing target.
+        memory_max: the most bytes that are made of a chunk; a larger one is lost.
 
     Raises:
         TraceError: the source cannot be read or is not an MCAP file; the target cannot be written,
@@ -459,24 +504,26 @@ def recover(source: str, target: str, overwrite: bool = False) -> Recovery:
                 raise TraceError(source, "is empty", remedy="there is nothing to recover")
             with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
                 if data[: len(records.MAGIC)] != records.MAGIC:
-                    raise TraceError(source, "is not an MCAP file", remedy="give a recording")
+                    what, remedy = stranger(data[: 1 << 16]) or NOT_MCAP
+                    raise TraceError(source, what, remedy=remedy)
                 with whole_file(target, "free space there, or name another place") as out:
-                    return recover_bytes(data, out)
+                    return recover_bytes(data, out, memory_max)
     except OSError as error:
         raise unreadable(source, error) from error
 
 
-def recover_bytes(data: mmap | bytes, out: BinaryIO) -> Recovery:
+def recover_bytes(data: mmap | bytes, out: BinaryIO, memory_max: int = MEMORY_MAX) -> Recovery:
     """Recover a file's bytes (with their magic) into an open file, like `recover`."""
-    return _Walk(data, out).run()
+    return _Walk(data, out, memory_max).run()
 
 
 @final
 class _Walk:
     """One pass through a damaged file."""
 
-    def __init__(self, data: mmap | bytes, out: BinaryIO) -> None:
+    def __init__(self, data: mmap | bytes, out: BinaryIO, memory_max: int) -> None:
         self._data = data
+        self._memory_max = memory_max
         self._size = len(data)
         self._summary = list(_summary_of(data))
         self._spans = [_chunk_span(r) for r in self._summary if r.opcode == records.CHUNK_INDEX]
@@ -562,7 +609,7 @@ class _Walk:
         stored = int.from_bytes(data[at : at + 8], "little")
         ends = {start + length, at + 8 + stored}
         for end in sorted(ends):  # a wrong end that is too large only includes bytes after the data
-            chunk = chunk_in(data[start:end]) if end <= self._size else None
+            chunk = chunk_in(data[start:end], self._memory_max) if end <= self._size else None
             if chunk is not None and (chunk.crc or (opcode == records.CHUNK and len(ends) == 1)):
                 return chunk, end
         return None
@@ -574,7 +621,7 @@ class _Walk:
         except ValueError as error:
             whole = _whole_records(chunk.content)
             self._done.nameless += self._assembly.content(whole)
-            self._lose(offset, end, f"the end of a chunk's content ({error})")
+            self._lose(offset, end, f"a part of a chunk's content ({error})")
 
     def _take_loose(self, record: Record) -> None:
         """Collect messages outside chunks into new chunks."""
@@ -602,7 +649,7 @@ class _Walk:
         if stated < self._size and record_at(data, stated) is not None:
             end = stated
         else:
-            end = next_record(data, offset + 1) or self._size
+            end = next_record(data, offset + 1, self._memory_max) or self._size
         is_cut = end == self._size < stated
         if is_cut and opcode == records.CHUNK and self._salvage(offset):
             return end
@@ -612,6 +659,9 @@ class _Walk:
             what = f"{name} whose end is missing"
         elif opcode == records.CHUNK:
             what = "a damaged chunk"
+            fields = chunk_head(data[offset + len(head) : end])
+            if fields is not None and self._memory_max < fields[2] <= _SIZE_MAX:
+                what = f"a damaged chunk, or {fields[2]} bytes; --max-memory allows more"
         may_hold = not self._data_ended and not (is_cut and name and opcode != records.CHUNK)
         self._lose(offset, end, what, may_hold)
         return end
@@ -627,7 +677,7 @@ class _Walk:
             compression, at = records.read_string(there, records.CHUNK_HEAD.size)
         except ValueError:
             return False
-        content = _whole_records(salvage(compression, there[at + 8 :]))
+        content = _whole_records(salvage(compression, there[at + 8 :], self._memory_max))
         before = self._assembly.messages
         self._end_loose()
         if content:
@@ -654,12 +704,13 @@ class _Walk:
 
 
 def _whole_records(content: bytes) -> bytes:
-    """Return the content up to the end of its last complete record."""
-    end = 0
+    """Return the complete and sound records of a chunk."""
+    whole: list[bytes] = []
     with suppress(ValueError):
-        for _, _, end, _ in messages_in(content):  # noqa: B007  # the last one counts
-            pass
-    return content[:end]
+        for opcode, offset, end in _records_in(content):
+            if _is_sound(opcode, content[offset + _HEAD_SIZE : end]):
+                whole.append(content[offset:end])
+    return b"".join(whole)
 
 
 def _summary_of(data: mmap | bytes) -> Iterator[Record]:

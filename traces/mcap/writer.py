@@ -17,7 +17,8 @@ import io
 import os
 import zlib
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from operator import itemgetter
 from typing import BinaryIO, Final, Self, final
 
@@ -32,6 +33,7 @@ from motorhil.traces.schema import Direction, Schema
 CHUNK_NS: Final = 1_000_000_000
 CHUNK_BYTES: Final = 1 << 20
 _SLICE: Final = 4096  # messages packed at once; limits the excess of a chunk over CHUNK_BYTES
+_BATCH: Final = 256  # chunk indexes compressed together; more of them did not shrink further
 _COMPRESSION: Final = "zstd"
 _LEVEL: Final = 1  # level 3 did not shrink the demo's frames, and took 1.5 times as long
 _LIBRARY: Final = "motorhil"
@@ -39,11 +41,39 @@ _time_of: Final = itemgetter(1)
 
 
 @final
+class ChunkIndexes:
+    """The chunk indexes of a recording, compressed: one a second, for days.
+
+    Attributes:
+        count: number of records.
+    """
+
+    def __init__(self) -> None:
+        self.count: int = 0
+        self._batches: list[bytes] = []
+        self._open: list[bytes] = []
+
+    def append(self, index: bytes) -> None:
+        """Add a record."""
+        self.count += 1
+        self._open.append(index)
+        if len(self._open) == _BATCH:
+            self._batches.append(zlib.compress(b"".join(self._open)))
+            self._open.clear()
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield the records in order, a batch of them at once."""
+        yield from map(zlib.decompress, self._batches)
+        yield b"".join(self._open)
+
+
+@final
 class Summary:
     """Records for the summary, in the order in which their subjects were written.
 
     Attributes:
-        schemas, channels, chunk_indexes, attachment_indexes, metadata_indexes: records.
+        schemas, channels, attachment_indexes, metadata_indexes: records.
+        chunk_indexes: records, compressed.
         counts: messages by channel.
         first_ns, last_ns: earliest and latest log time; first_ns is None without messages.
     """
@@ -52,7 +82,7 @@ class Summary:
         self.schemas: list[bytes] = []
         self.channels: list[bytes] = []
         self.counts: dict[int, int] = {}
-        self.chunk_indexes: list[bytes] = []
+        self.chunk_indexes: ChunkIndexes = ChunkIndexes()
         self.attachment_indexes: list[bytes] = []
         self.metadata_indexes: list[bytes] = []
         self.first_ns: int | None = None
@@ -68,25 +98,26 @@ class Summary:
         self.first_ns = first_ns if self.first_ns is None else min(first_ns, self.first_ns)
         self.last_ns = max(last_ns, self.last_ns)
 
-    def ending(self, offset: int, crc: int) -> bytes:
-        """Return everything after the last chunk: data end, summary, offsets, footer, magic.
+    def ending(self, offset: int, crc: int) -> Iterator[bytes]:
+        """Yield everything after the last chunk: data end, summary, offsets, footer, magic.
 
         Args:
             offset: of the end of the data.
             crc: of everything before it.
         """
         data_end = records.record(records.DATA_END, records.UINT32.pack(crc))
-        start = offset + len(data_end)
+        yield data_end
+        start = at = offset + len(data_end)
         statistics = records.statistics(
             list(self.counts.items()),
             len(self.schemas),
             len(self.attachment_indexes),
             len(self.metadata_indexes),
-            len(self.chunk_indexes),
+            self.chunk_indexes.count,
             self.first_ns or 0,
             self.last_ns,
         )
-        summary = b""
+        crc = 0
         offsets = b""
         for opcode, group in (
             (records.SCHEMA, self.schemas),
@@ -96,16 +127,17 @@ class Summary:
             (records.ATTACHMENT_INDEX, self.attachment_indexes),
             (records.METADATA_INDEX, self.metadata_indexes),
         ):
-            if group:
-                data = b"".join(group)
-                offsets += records.summary_offset(opcode, start + len(summary), len(data))
-                summary += data
-        offset_start = start + len(summary)
+            begun = at
+            for data in group:
+                yield data
+                crc = zlib.crc32(data, crc)
+                at += len(data)
+            if at > begun:
+                offsets += records.summary_offset(opcode, begun, at - begun)
         footer = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BODY.size)
-        footer += records.UINT64.pack(start) + records.UINT64.pack(offset_start)
-        crc = zlib.crc32(summary + offsets + footer)
-        ending = summary + offsets + footer + records.UINT32.pack(crc)
-        return data_end + ending + records.MAGIC
+        footer += records.UINT64.pack(start) + records.UINT64.pack(at)
+        crc = zlib.crc32(offsets + footer, crc)
+        yield offsets + footer + records.UINT32.pack(crc) + records.MAGIC
 
 
 @final
@@ -304,7 +336,7 @@ class TraceWriter:
         try:
             if self.error is None:
                 self._close_chunk()
-                self._put(self._summary.ending(self._offset, self._crc))
+                self._write(self._summary.ending(self._offset, self._crc))
         finally:
             self._release()
 
@@ -333,16 +365,23 @@ class TraceWriter:
 
     def _put(self, data: bytes) -> None:
         """Write complete records to the operating system, all or none."""
-        done = 0
+        self._write((data,))
+        self._crc = zlib.crc32(data, self._crc)
+
+    def _write(self, parts: Iterable[bytes]) -> None:
+        """Write these parts after what is complete, all or none."""
+        size = 0
         try:
-            with memoryview(data) as view:
-                while done < len(view):
-                    done += self._file.write(view[done:]) or 0
+            for data in parts:
+                size += len(data)
+                done = 0
+                with memoryview(data) as view:
+                    while done < len(view):
+                        done += self._file.write(view[done:]) or 0
             self._file.flush()
         except OSError as error:
             self._fail(error)
-        self._offset += len(data)
-        self._crc = zlib.crc32(data, self._crc)
+        self._offset += size
 
     def _fail(self, cause: OSError) -> None:
         """Cut the file after its last complete record, and complete it if there is space.
@@ -352,19 +391,21 @@ class TraceWriter:
         """
         whole = self._summary.ending(self._offset, self._crc)
         is_complete = False
-        for ending in (whole, self._short_ending(), b""):
+        for ending in (whole, (self._short_ending(),)):
             try:
-                self._file.seek(self._offset)
-                self._file.truncate()
-                if self._file.write(ending) == len(ending):
-                    self._file.flush()
-                    is_complete = bool(ending)
-                    break
-            except OSError:  # the file stays cut, which our reader accepts
-                continue
+                self._cut()
+                is_complete = all(self._file.write(data) == len(data) for data in ending)
+                self._file.flush()
+            except OSError:
+                is_complete = False
+            if is_complete:
+                break
+        else:
+            with suppress(OSError):  # the file stays cut, which our reader accepts
+                self._cut()
         reach = "nothing yet"
         remedy = "free space there, or record to another place"
-        if self._summary.chunk_indexes:
+        if self._summary.chunk_indexes.count:
             reach = f"up to {self._summary.last_ns / 1e9:.3f} s"
             if not is_complete:
                 remedy += "; its end is missing: motorhil recover adds it"
@@ -375,6 +416,11 @@ class TraceWriter:
         )
         self._release()
         raise self.error from cause
+
+    def _cut(self) -> None:
+        """End the file after its last complete record."""
+        self._file.seek(self._offset)
+        self._file.truncate()
 
     def _release(self) -> None:
         if isinstance(self._file, io.RawIOBase) and self._owned:

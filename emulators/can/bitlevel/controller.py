@@ -152,7 +152,7 @@ class CanSignalling:
     """
 
     def __init__(self, confinement: Confinement, journal: ErrorJournal) -> None:
-        self.drives = RECESSIVE
+        self.drives: int = RECESSIVE
         self.transmitter = False
         self._confinement = confinement
         self._journal = journal
@@ -346,14 +346,14 @@ class CanStation:
             wire_frame(frame)
         self.frames = frames
         self.confinement = confinement
-        self.journal = ErrorJournal(confinement)
-        self.drives = RECESSIVE
-        self.phase = IDLE
-        self.suspended = 0
-        self.waits_for = 0
-        self.off_at = -1
-        self.recessive_runs = 0
-        self.recessive_bits = 0
+        self.journal: ErrorJournal = ErrorJournal(confinement)
+        self.drives: int = RECESSIVE
+        self.phase: int = IDLE
+        self.suspended: int = 0
+        self.waits_for: int = 0
+        self.off_at: int = -1
+        self.recessive_runs: int = 0
+        self.recessive_bits: int = 0
         self._one_shot = one_shot
         self._signalling = CanSignalling(confinement, self.journal)
         self._support = support

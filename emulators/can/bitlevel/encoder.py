@@ -222,15 +222,15 @@ class WireFrame:
             number += 1 - is_stuff
             places.append(place_of(number, rtr == _EXTENDED_RTR, crc_start, fd))
         self.is_fd = fd
-        self.levels = bytes(levels) + bytes([RECESSIVE]) * len(_TAIL_PLACES)
-        self.expected = bytes(levels) + bytes([RECESSIVE, DOMINANT]) + bytes([RECESSIVE]) * 8
-        self.places = bytes(places) + bytes(_TAIL_PLACES)
-        self.stuffed = bytes(stuffed) + bytes(len(_TAIL_PLACES))
-        self.arbitration_end = positions[rtr]
+        self.levels: bytes = bytes(levels) + bytes([RECESSIVE]) * len(_TAIL_PLACES)
+        self.expected: bytes = bytes(levels) + bytes([RECESSIVE, DOMINANT]) + bytes([RECESSIVE]) * 8
+        self.places: bytes = bytes(places) + bytes(_TAIL_PLACES)
+        self.stuffed: bytes = bytes(stuffed) + bytes(len(_TAIL_PLACES))
+        self.arbitration_end: int = positions[rtr]
         fast = fd and frame[5] & BRS
         # ESI is the fifth bit after RTR; a stuff bit before it is already sent at the data rate.
-        self.fast_from = positions[width - 6] + 1 if fast else 0
-        self.fast_to = len(levels) + 1 if fast else 0
+        self.fast_from: int = positions[width - 6] + 1 if fast else 0
+        self.fast_to: int = len(levels) + 1 if fast else 0
 
 
 _frames: Final[dict[bytes, WireFrame]] = {}

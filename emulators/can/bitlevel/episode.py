@@ -138,7 +138,7 @@ class Member:
     ) -> None:
         self.node = node
         self.leaves_at = leaves_at
-        self.strikes = Strikes(struck_by)
+        self.strikes: Strikes = Strikes(struck_by)
         self.fast = False
         self.heard_dominant = False  # in its own nominal bit so far
 
@@ -173,9 +173,9 @@ class WiredAnd:
         recessive_bits: int,
         ratio: int,
     ) -> None:
-        self.bit = 0
-        self.recessive_runs = 0
-        self.recessive_bits = recessive_bits
+        self.bit: int = 0
+        self.recessive_runs: int = 0
+        self.recessive_bits: int = recessive_bits
         self._fast: list[tuple[int, int]] = []
         self._ratio = ratio
         self._live = list(members)

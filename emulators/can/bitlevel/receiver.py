@@ -79,7 +79,7 @@ class Reception:
     """
 
     def __init__(self, support: FrameSupport) -> None:
-        self.fast = False
+        self.fast: bool = False
         self._support = support
         self._part = _STUFFED
         self._last = RECESSIVE

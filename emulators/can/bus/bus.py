@@ -88,10 +88,10 @@ class CanBus(CanSegment):
         self._has_plan = faults is not None
         seam = FaultSeam(FaultPlan((), _no_chance) if faults is None else faults)
         super().__init__(name, bit_ns, data_bit_ns, seam, [])
-        self.bitrate_bit_s = bitrate_bit_s
-        self.data_bitrate_bit_s = data_bitrate_bit_s
+        self.bitrate_bit_s: int = bitrate_bit_s
+        self.data_bitrate_bit_s: int | None = data_bitrate_bit_s
         self._fd_kind = DELIVERED  # of a CAN FD frame: only FD nodes receive it
-        self.eventful = False
+        self.eventful: bool = False
         self._parts: dict[_Place, CanSegment] = {}
         self._where: list[CanSegment] = []  # by port
         self._places: list[_Place] = []  # by port
@@ -300,6 +300,9 @@ class CanBus(CanSegment):
             elif not self._step_one(due_ns, out):
                 seam.hear_late(due_ns, out)
             due_ns = self._deadline_with_faults_ns()
+        if seam.plan.end_rules(now_ns):
+            for segment in self._segments():
+                segment.count_members()
         self._settle()
 
     def _step_one(self, due_ns: int, out: list[Delivery]) -> bool:

@@ -113,6 +113,8 @@ class FaultPlan:
         self._met: dict[str, int] = {}
         self._fired: dict[str, int] = {}
         self._now: dict[str, FaultRule] = {}  # active lasting rules by name
+        self._ended: list[str] = []  # rules that can hit no frame any more
+        self._next_end_ns = NEVER_NS  # of such a rule, at the earliest
         self._events: list[FaultEvent] = []
         for rule in rules:
             self.add(rule)
@@ -131,7 +133,10 @@ class FaultPlan:
         self._fired[rule.name] = 0
         if rule.kind in LASTING:
             self._lasting.append(rule)
-        elif rule.kind is FaultKind.ERROR:
+            return
+        if rule.until_ns is not None:
+            self._end_at(rule.until_ns)
+        if rule.kind is FaultKind.ERROR:
             self._errors.append(rule)
         else:
             self._rules.append(rule)
@@ -142,14 +147,39 @@ class FaultPlan:
         Raises:
             ValueError: the plan does not have a rule of that name.
         """
+        if name in self._ended:
+            self._ended.remove(name)
+            return
         if name not in [rule.name for rule in self._rules + self._errors + self._lasting]:
             raise ValueError(f"fault {name}: unknown rule")
         self._rules = [rule for rule in self._rules if rule.name != name]
         self._errors = [rule for rule in self._errors if rule.name != name]
         self._lasting = [rule for rule in self._lasting if rule.name != name]
 
+    def _end_at(self, now_ns: int) -> None:
+        if self._next_end_ns < 0 or now_ns < self._next_end_ns:
+            self._next_end_ns = now_ns
+
+    def end_rules(self, now_ns: int) -> bool:
+        """Set aside rules that can hit no frame any more; return whether there are any."""
+        if not 0 <= self._next_end_ns <= now_ns:
+            return False
+        self._next_end_ns = NEVER_NS
+        ended: list[str] = []
+        for rule in self._rules + self._errors:
+            if (rule.until_ns is not None and rule.until_ns <= now_ns) or (
+                rule.limit is not None and self._fired[rule.name] >= rule.limit
+            ):
+                ended.append(rule.name)
+            elif rule.until_ns is not None:
+                self._end_at(rule.until_ns)
+        self._rules = [rule for rule in self._rules if rule.name not in ended]
+        self._errors = [rule for rule in self._errors if rule.name not in ended]
+        self._ended += ended
+        return bool(ended)
+
     def is_empty(self) -> bool:
-        """Return whether the plan has no rule and no lasting rule is active."""
+        """Return whether the plan has no rule that may act, and no lasting rule is active."""
         return not (self._rules or self._errors or self._lasting or self._now)
 
     def has_errors(self) -> bool:
@@ -261,6 +291,8 @@ class FaultPlan:
 
     def _record(self, now_ns: int, rule: FaultRule, what: str, frame: bytes) -> None:
         self._fired[rule.name] += 1
+        if rule.limit is not None and self._fired[rule.name] >= rule.limit:
+            self._end_at(now_ns)
         self._events.append((now_ns, rule.name, what, frame))
 
 

@@ -47,13 +47,15 @@ class Playback:
         noises: Sequence[NoiseSource],
     ) -> None:
         self.start_ns = start_ns
-        self.stations = list(stations)
+        self.stations: list[Station] = list(stations)
         self._bit_ns, self._data_bit_ns = rates_ns
         self._disturbances = list(disturbances)
         self._noises = noises
         self._quiet_from = [ALL_BITS] * len(noises)  # bit from which on each is inactive
         self._played = 0
         self._until_bit = _MARGIN_BITS
+        self.end: Episode
+        self.over_ns: int
         self._compute()
 
     def go_on(self) -> bool:

@@ -66,16 +66,16 @@ class CanPort:
     def __init__(self, number: int, name: str, chip: CanNode) -> None:
         self.name = name
         self.chip = chip
-        self.tag = number << PORT_SHIFT
-        self.by_priority = chip.queue is QueueOrder.PRIORITY
-        self.entry = 0
-        self.frame = b""
+        self.tag: int = number << PORT_SHIFT
+        self.by_priority: bool = chip.queue is QueueOrder.PRIORITY
+        self.entry: int = 0
+        self.frame: bytes = b""
         self.behind: list[tuple[int, int, int, bytes]] = []
         self.starts_seen = 0
-        self.losses = 0
+        self.losses: int = 0
         self.repeated: set[bytes] = set()
         self.babbling = False
-        self.turn = 0
+        self.turn: int = 0
 
     def pending(self) -> int:
         """Return the number of pending frames."""
@@ -141,13 +141,13 @@ class Presence:
         self.number = number
         self.name = name
         self.chip = chip
-        self.confinement = Confinement()
-        self.role = Role.ON
-        self.since_ns = NEVER_NS
-        self.runs_left = 0
+        self.confinement: Confinement = Confinement()
+        self.role: Role = Role.ON
+        self.since_ns: int = NEVER_NS
+        self.runs_left: int = 0
         self.aborted = 0
         self.errors = 0
-        self.stalled = False
+        self.stalled: bool = False
         self._told = ErrorState.ACTIVE
 
     def hears(self) -> bool:

@@ -130,10 +130,10 @@ class CanSegment:
     def __init__(
         self, name: str, bit_ns: int, data_bit_ns: int, seam: FaultSeam, nodes: list[Presence]
     ) -> None:
-        self.name = name
-        self.bit_ns = bit_ns
-        self.data_bit_ns = data_bit_ns
-        self.statistics = CanStatistics()
+        self.name: str = name
+        self.bit_ns: int = bit_ns
+        self.data_bit_ns: int = data_bit_ns
+        self.statistics: CanStatistics = CanStatistics()
         self._busy = self.statistics.busy
         self._ports: list[CanPort] = []
         self._competing: list[int] = []  # heap of the entries of candidates not in flight

@@ -18,11 +18,11 @@ class CanStatistics:
     """
 
     def __init__(self) -> None:
-        self.frames = 0
-        self.bits = 0
-        self.busy = BusyTime()
-        self.errors = 0
-        self.bits_lost = 0
+        self.frames: int = 0
+        self.bits: int = 0
+        self.busy: BusyTime = BusyTime()
+        self.errors: int = 0
+        self.bits_lost: int = 0
         self.by_key: dict[int, int] = {}  # frames sent, by arbitration key
         self._collisions: dict[int, int] = {}
 

@@ -146,7 +146,7 @@ class ParameterStore:
         self._od = od
         self._memory = memory
         self._outbox = outbox
-        self.stored = StoredParameters((0, 0))
+        self.stored: StoredParameters = StoredParameters((0, 0))
         self._is_foreign: bool = False  # the stored data belong to another device: do not overwrite
         for index, signature in ((0x1010, SAVE), (0x1011, LOAD)):
             for subindex in od.subindices(index):

@@ -51,12 +51,12 @@ class CyclicMode(Mode):
         self._last_sync_ns: int = _NONE_YET
         self._period_ns: int = tick_ns
         self._patience: int = objects.settings.sync_lost_periods
-        self.heeds_sync = self._patience > 0
+        self.heeds_sync: bool = self._patience > 0
 
     def enter(self, word: int, now_ns: int) -> None:
         """Reset the timing, as if no set-point and no SYNC had been received."""
-        self.halted = word & CW_HALT != 0
-        self.lost = False
+        self.halted: bool = word & CW_HALT != 0
+        self.lost: bool = False
         self._last_target_ns = _NONE_YET
         self._last_sync_ns = _NONE_YET
         self._period_ns = self.tick_ns
@@ -174,7 +174,7 @@ class CyclicPosition(CyclicMode):
             allowed, self.over_ns(), fed_inc_s, speed_max_inc_s=self._speed_max_inc_s
         )
         self._caught_up_ns = NEVER
-        self.limited = allowed != target
+        self.limited: bool = allowed != target
         if late_ticks and not self.limited:
             self.limited = True
             self._caught_up_ns = (now_ns // self.tick_ns + 1 + late_ticks) * self.tick_ns
@@ -231,7 +231,7 @@ class CyclicVelocity(CyclicMode):
         velocity = motion.target_velocity_raw_inc_s() + offsets.velocity_inc_s()
         most = motion.velocity_max_inc_s()
         allowed = max(-most, min(most, velocity))
-        self.limited = allowed != velocity
+        self.limited: bool = allowed != velocity
         self.axis.follow_velocity(allowed, self.over_ns())
         self.axis.feed_current(offsets.current_a())
 
@@ -259,7 +259,7 @@ class CyclicTorque(CyclicMode):
     def settle(self, now_ns: int) -> None:
         """Update bit 11, and check SYNC."""
         super().settle(now_ns)
-        self.limited = not self.halted and self.axis.flags & f.CURRENT_SATURATED != 0
+        self.limited: bool = not self.halted and self.axis.flags & f.CURRENT_SATURATED != 0
 
     def _follow(self) -> None:
         objects = self.objects

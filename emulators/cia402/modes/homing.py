@@ -87,7 +87,7 @@ class Homing(Mode):
     def enter(self, word: int, now_ns: int) -> None:
         """Bring the motor to rest; an attained home stays attained."""
         self.leave()
-        self.halted = word & CW_HALT != 0
+        self.halted: bool = word & CW_HALT != 0
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:

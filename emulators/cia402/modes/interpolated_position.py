@@ -112,7 +112,7 @@ class InterpolatedPosition(CyclicMode):
         motion = self.objects.motion
         target = ip.take_inc()
         allowed = motion.within_limits_inc(target)
-        self.limited = allowed != target
+        self.limited: bool = allowed != target
         self.axis.follow(allowed, self.over_ns(), has_target=ip.is_empty())
         return True
 

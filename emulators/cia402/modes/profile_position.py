@@ -70,7 +70,7 @@ class ProfilePosition(Mode):
     def enter(self, word: int, now_ns: int) -> None:
         """Bring the motor to rest; no set-point has been offered yet."""
         self.leave()
-        self.halted = word & CW_HALT != 0
+        self.halted: bool = word & CW_HALT != 0
         self.axis.ramp_to_rest(self.objects.motion.deceleration_inc_s2())
 
     def leave(self) -> None:
@@ -83,7 +83,7 @@ class ProfilePosition(Mode):
         self._goes_on = False
         self._wake_ns = NEVER
         self.halted = False
-        self.limited = False
+        self.limited: bool = False
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
         """Obey bits 4, 5, 6, 8 and 9."""

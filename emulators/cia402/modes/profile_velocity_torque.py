@@ -28,8 +28,8 @@ _TORQUE_DEMAND: Final = int(_C.TORQUE | _C.FACTORS | _C.MOTION_LIMITS)
 class ProfileVelocity(Mode):
     """Mode 3.
 
-    Bit 10: within the velocity window 606Dh for 606Eh. Bit 12: below 606Fh for 6070h. Bit 13: the
-    slippage exceeds 60F8h.
+    Bit 10: within the velocity window 606Dh for 606Eh. Bit 12: 0 if beyond 606Fh for 6070h. Bit 13:
+    the slippage exceeds 60F8h.
     """
 
     def __init__(self, axis: Axis, objects: DriveObjects, tick_ns: int) -> None:
@@ -39,13 +39,13 @@ class ProfileVelocity(Mode):
 
     def enter(self, word: int, now_ns: int) -> None:
         """Ramp to the present 60FFh at once."""
-        self.halted = word & CW_HALT != 0
+        self.halted: bool = word & CW_HALT != 0
         self._run()
 
     def leave(self) -> None:
         """Clear the mode's state."""
         self.halted = False
-        self.limited = False
+        self.limited: bool = False
         self._slips = False
         self._wake_ns = NEVER
 
@@ -79,7 +79,7 @@ class ProfileVelocity(Mode):
     def status_bits(self) -> int:
         """Return bits 10, 12 and 13."""
         flags = self.axis.flags
-        bits = SPEED_IS_ZERO if flags & f.SPEED_ZERO else 0
+        bits = 0 if flags & f.SPEED_EXCEEDED else SPEED_IS_ZERO
         if self._slips:
             bits |= MAX_SLIPPAGE_ERROR
         if self.halted:
@@ -109,13 +109,13 @@ class ProfileTorque(Mode):
 
     def enter(self, word: int, now_ns: int) -> None:
         """Ramp to the present torque 6071h."""
-        self.halted = word & CW_HALT != 0
+        self.halted: bool = word & CW_HALT != 0
         self._run()
 
     def leave(self) -> None:
         """Clear the mode's state."""
         self.halted = False
-        self.limited = False
+        self.limited: bool = False
 
     def obey(self, word: int, rising: int, now_ns: int) -> None:
         """Obey bit 8, halt: brake to standstill (605Dh) and hold."""

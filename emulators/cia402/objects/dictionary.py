@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, final
 
 from motorhil.emulators.canopen.codes import OK, AbortCode
-from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary
+from motorhil.emulators.canopen.object_dictionary import DataType, ObjectDictionary, Variable
 from motorhil.emulators.cia402.objects.changes import Choice, ObjectChange, ObjectChanges, watch
 from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
 from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
@@ -27,6 +27,7 @@ from motorhil.emulators.cia402.objects.units import (
 )
 from motorhil.emulators.cia402.settings import EMULATED_MODES, DriveSettings
 
+_SERVO_DRIVE: Final = 0x0002_0192  # 1000h: profile 402; CiA 402-1, device type
 _STANDARD: Final = 0xFFFF
 _EMULATED: Final = sum(1 << (code - 1) for code in EMULATED_MODES.values())
 _TARGETS: Final = (
@@ -105,6 +106,7 @@ class DriveObjects:
         plant = settings.plant
         fill_factors(od, plant)
         ensure = od.ensure
+        ensure(0x1000, 0, _D.UNSIGNED32, _SERVO_DRIVE)
         polarity = ensure(0x607E, 0, _D.UNSIGNED8, 0)
         polarity.writer = Choice(POLARITIES, self.changes, ObjectChange.FACTORS).write
         for subindex in (1, 2):
@@ -116,7 +118,7 @@ class DriveObjects:
         self._controlword.writer = self._write_controlword
         self._mode = ensure(0x6060, 0, _D.INTEGER8, EMULATED_MODES["pp"])
         self._mode.writer = self._write_mode
-        self.error_code = ensure(0x603F, 0, _D.UNSIGNED16, 0)
+        self.error_code: Variable = ensure(0x603F, 0, _D.UNSIGNED16, 0)
         self._supported = ensure(0x6502, 0, _D.UNSIGNED32, modes_with_target(od))
         self.supported_modes: int = self._honest_modes()
 

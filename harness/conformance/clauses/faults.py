@@ -18,12 +18,14 @@ from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     error_ending,
     expect_at,
+    expect_moved,
     expect_raises,
     expect_rest,
     expect_speed,
     expect_state,
     expect_unmoved,
     expect_usable,
+    failure_of,
     finish,
     follow,
     long_move,
@@ -37,10 +39,12 @@ from motorhil.harness.conformance.clauses.helpers import (
     turn,
     until_rest_s,
 )
+from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,
+    DerivativeLimits,
     DeviceFault,
     LinkError,
     Motor,
@@ -54,12 +58,17 @@ from motorhil.motorapi import (
 )
 
 _NOTICED_S = 0.3
+_SOON_S = 0.05
+_BACK_S = 1.0
+_SLOW: Final = 3.0
 _PLACES: Final = 12
 _LENGTHS_S: Final = (0.3, 0.02)
 _ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
 _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 _HERE = 37
+_LATE_S: Final = (0.11, 0.21, 0.31)
+_LATE_PLACES: Final = 4
 _NO_METHOD = 77  # reserved in CiA 402-2
 
 
@@ -205,6 +214,40 @@ def fault_ends_motion_in_every_mode(bench: RigProtocol) -> None:
 
 
 @clause(
+    "FAULT-06",
+    Level.L5,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.FAULT, Ability.SECOND_MOTOR},
+    source="Motor.fault: what this drive says is wrong; paper 3.5, one object for each motor",
+)
+def fault_leaves_other_motors_usable(bench: RigProtocol) -> None:
+    """A fault of one motor neither ends nor fails the motions of the others, nor is it theirs."""
+    way = long_move(bench)
+    for failing in bench.motors:
+        others = [motor for motor in bench.motors if motor is not failing]
+        before = {motor: bench.true_position(motor) for motor in others}
+        for motor in bench.motors:
+            follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, 0.3 * shortest_s(failing, way))
+        code = bench.fail(failing)
+        what = f"fault {code:X}h of {failing.name}"
+        rest_for(bench, _SOON_S)
+        expect(failing.fault() is not None, f"{what}: fault() is None")
+        for motor in others:
+            error = failure_of(partial(finish, bench, motor, shortest_s(motor, way)))
+            expect(error is None, f"{what}: the motion of {motor.name} ended with {error!r}")
+            expect_moved(bench, motor, before[motor], way, what)
+            expect_state(motor, MotorState.ENABLED, f"{what}: {motor.name}")
+            fault = motor.fault()
+            expect(fault is None, f"{what}: {motor.name} reports {fault}; expected None")
+        _raised("the wait for the failed motor", partial(finish, bench, failing))
+        failing.reset_fault()
+        for motor in others:
+            expect_state(motor, MotorState.ENABLED, f"{what} was reset: {motor.name}")
+            move_exactly(bench, motor, -way, f"{what} was reset: {motor.name}")
+
+
+@clause(
     "HEAR-01",
     Level.L2,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
@@ -324,6 +367,87 @@ def _wait_until_it_answers(bench: RigProtocol, motor: Motor) -> None:
 
 
 @clause(
+    "HEAR-04",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.LOSE, Ability.TRUTH},
+    source="Motor.wait_until_done: DeadlineExceeded, not within timeout_s",
+)
+def deadline_holds_without_answers(bench: RigProtocol) -> None:
+    """Without answers, a wait ends at its timeout, or before; retries do not add up."""
+    motor, way = bench.motor, long_move(bench)
+    move(bench, motor, 0.1 * way)
+    for timeout_s in (0.0, 0.3):
+        follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, 0.1 * shortest_s(motor, way))
+        with bench.lose_answers_of(motor) as count:
+            begun_ns = bench.runtime.now_ns()
+            error = failure_of(partial(motor.wait_until_done, timeout_s))
+            took_s = elapsed_s(bench, begun_ns)
+            expect(error is not None, f"without answers, done was reported after {took_s:.3f} s")
+            most_s = timeout_s + bench.facts.lost_s + bench.facts.time_tolerance_s
+            expect(
+                took_s <= most_s,
+                f"without answers, a wait of {timeout_s:g} s ended after {took_s:.3f} s;"
+                f" expected at most {most_s:.3f} s",
+            )
+            rest_for(bench, 0.1)
+            reached(count() > 0, "the loss of an answer")
+        rest_for(bench, bench.facts.dead_man_s + shortest_s(motor, way))
+        _wait_until_it_answers(bench, motor)
+        motor.stop()
+        finish(bench, motor)
+
+
+@clause(
+    "HEAR-05",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.LATE, Ability.TRUTH},
+    source="errors: DeadlineExceeded, PeerError; a late answer is that to its own request",
+)
+def late_answer_is_not_taken_for_next(bench: RigProtocol) -> None:
+    """A late answer is not taken for that to a later request: what is read is true, or refused."""
+    motor, way = bench.motor, 0.5 * long_move(bench)
+    late = 0
+    for delay_s in _LATE_S:
+        for skip in range(_LATE_PLACES):
+            _wait_until_it_answers(bench, motor)
+            watch = PositionWatch(bench, motor)
+            slowly_s = 2.0 * shortest_s(motor, way)
+            follow(motor, TrapezoidalTrajectory(way, duration_s=slowly_s))
+            rest_for(bench, 0.3 * slowly_s)
+            with bench.delay_answers_of(motor, delay_s, skip=skip, limit=1) as count:
+                _read_all(motor, watch, f"answer {skip + 1} late by {delay_s:g} s")
+                late += count()
+            watch.end(0.0)
+            with suppress(*_ERRORS):
+                motor.stop()
+                finish(bench, motor)
+            rest_for(bench, delay_s)
+            way = -way
+        if not late:
+            raise NotApplicable("the motor reads nothing by requests")
+
+
+def _read_all(motor: Motor, watch: PositionWatch, when: str) -> None:
+    """Read all values twice; each must be one of the motor's, or be refused."""
+    top, unit = motor.model.velocity_max, motor.model.unit
+    for _ in range(2):
+        with suppress(*_ERRORS):
+            watch.read(when)
+        with suppress(*_ERRORS):
+            velocity = motor.velocity()
+            expect(abs(velocity) <= 1.2 * top, f"{when}: velocity() is {velocity:g} {unit}/s")
+        with suppress(*_ERRORS, UnsupportedError):
+            behind = motor.following_error()
+            expect(abs(behind) <= top, f"{when}: following_error() is {behind:g} {unit}")
+        with suppress(*_ERRORS):
+            fault = motor.fault()
+            expect(fault is None, f"{when}: fault() is {fault}; expected None")
+
+
+@clause(
     "HOME-01",
     Level.L2,
     needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
@@ -369,6 +493,35 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
     expect_unmoved(bench, motor, before, f"homing method {_NO_METHOD} was refused")
     move(bench, motor, way)
     expect_at(bench, motor, origin + 2.0 * way, "moved after a homing was refused")
+
+
+@clause(
+    "HOME-03",
+    Level.L5,
+    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.RESTART},
+    source="Motor.is_referenced: position 0 is that of the model; CiA 402-2, homing mode",
+)
+def restarted_drive_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
+    """After a restart of its drive, a motor is referenced only if its position is still right."""
+    motor, way = bench.motor, 0.3 * long_move(bench)
+    move(bench, motor, way)
+    if failure_of(partial(motor.home, _HERE)) is not None:
+        raise NotApplicable("homing on the spot is refused")
+    zero = bench.true_position(motor)
+    move(bench, motor, way)
+    bench.restart(motor)
+    rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
+    is_referenced, reported = motor.is_referenced(), motor.position()
+    true, unit = bench.true_position(motor) - zero, motor.model.unit
+    expect(
+        not is_referenced or abs(reported - true) <= 2.0 * bench.facts.window,
+        f"after a restart: referenced, but position() is {reported:g} {unit} at {true:g} {unit}"
+        " from home; expected this position, or not referenced",
+    )
+    motor.home(_HERE)
+    expect(motor.is_referenced(), "homed again after a restart: not referenced")
+    expect_at(bench, motor, 0.0, "homed again after a restart")
 
 
 @clause(
@@ -422,3 +575,36 @@ def low_level_access_requires_rest(bench: RigProtocol) -> None:
 def _open_and_close(motor: Motor) -> None:
     with motor.low_level():
         pass
+
+
+@clause(
+    "LOW-03",
+    Level.L5,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.RESTART},
+    source="Motor.low_level: afterwards nothing is assumed, the next start writes all its settings",
+)
+def changes_in_low_level_access_are_noticed(bench: RigProtocol) -> None:
+    """If low-level access lost all settings of a drive, the next motion is as before."""
+    motor, way = bench.motor, 0.3 * long_move(bench)
+    limits = DerivativeLimits(first=0.5 * motor.model.velocity_max)
+    follow(motor, TrapezoidalTrajectory(way, limits=limits))
+    usual_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
+    motor.disable()
+    with motor.low_level():
+        bench.restart(motor)
+        rest_for(bench, _BACK_S)
+    expect(
+        motor.state() is not MotorState.ENABLED,
+        "restarted during low-level access: reported as enabled, but its power is off",
+    )
+    before = bench.true_position(motor)
+    motor.start()
+    took_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
+    expect_moved(bench, motor, before, way, "restarted during low-level access", 2.0)
+    most_s = bench.facts.time_tolerance_s
+    expect(
+        abs(took_s - usual_s) <= most_s,
+        f"restarted during low-level access: the same move took {took_s:.3f} s; expected"
+        f" {usual_s:.3f} s within {most_s:g} s",
+    )

@@ -9,9 +9,7 @@ from math import hypot, sqrt
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
-    BEGUN,
     FINE_S,
-    GroupPositions,
     elapsed_s,
     expect_group_moved,
     expect_moved,
@@ -27,13 +25,17 @@ from motorhil.harness.conformance.clauses.helpers import (
     move,
     pair_of,
     position_of,
-    positions_of,
     reached,
     rest_for,
-    sampling_error_s,
     shortest_s,
     smooth_move,
     trajectories_of,
+)
+from motorhil.harness.conformance.clauses.tracks import (
+    BEGUN,
+    GroupPositions,
+    positions_of,
+    sampling_error_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (

@@ -2,12 +2,9 @@
 
 U is the unit of the motor's position, rad or m. Expected profiles are computed here from a
 textbook, independently of the interface under test.
-
-Where instants of a group are compared, its members move the same distance. Then they make the same
-profile, and reach each share of it at the same time.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
@@ -38,8 +35,6 @@ if TYPE_CHECKING:
 
 SAMPLE_S: Final = 0.005
 FINE_S: Final = 0.001
-BEGUN: Final = 0.05
-"""The share of its distance after which a motion has begun."""
 MOVING_S: Final = 0.4
 """Time until a motion that began here is at full speed [s]."""
 _REST_S: Final = 0.05
@@ -566,58 +561,6 @@ def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(*(TrapezoidalTrajectory(way) for way in ways))
     return group
-
-
-def positions_of(bench: RigProtocol, group: Iterable[Motor]) -> list[float]:
-    """Return the positions of all members [U]."""
-    return [position_of(bench, motor) for motor in group]
-
-
-class GroupPositions:
-    """Records the positions of a group's members from its creation; times are in ns."""
-
-    def __init__(
-        self, bench: RigProtocol, group: Iterable[Motor], period_s: float = FINE_S
-    ) -> None:
-        self._bench, self._group = bench, tuple(group)
-        self.samples: list[tuple[int, list[float]]] = []
-        self._timer = bench.runtime.every(period_s, self._sample)
-        self._sample()
-
-    def _sample(self) -> None:
-        self.samples.append((self._bench.runtime.now_ns(), positions_of(self._bench, self._group)))
-
-    def end(self) -> None:
-        """Stop recording."""
-        self._timer.cancel()
-        self._sample()
-
-    def when(self, member: int, share: float, way: float) -> float | None:
-        """Return the interpolated time when a member had made a share of its way [ns], or None."""
-        goal = share * way
-        begin = self.samples[0][1][member]
-        before_ns, before = self.samples[0][0], 0.0
-        for now_ns, positions in self.samples:
-            made = positions[member] - begin
-            if (made - goal) * (1.0 if way > 0.0 else -1.0) >= 0.0:
-                part = 1.0 if made == before else (goal - before) / (made - before)
-                return before_ns + part * (now_ns - before_ns)
-            before_ns, before = now_ns, made
-        return None
-
-    def skew_s(self, share: float, ways: Sequence[float]) -> float | None:
-        """Return the time between the first and the last member at this share of its way [s]."""
-        times = [self.when(member, share, way) for member, way in enumerate(ways)]
-        known = [time for time in times if time is not None]
-        return (max(known) - min(known)) / 1e9 if len(known) == len(times) else None
-
-
-def sampling_error_s(bench: RigProtocol, way: float, share: float) -> float:
-    """Return the largest error of the difference of two times from `GroupPositions.when` [s]."""
-    model = bench.motor.model
-    slowest = min(model.acceleration_max, model.deceleration)
-    speed = min(sqrt(2.0 * slowest * share * abs(way)), model.velocity_max)
-    return 2.0 * bench.facts.following / speed + 2.0 * FINE_S
 
 
 def finish_group(bench: RigProtocol, group: MotorGroup) -> None:

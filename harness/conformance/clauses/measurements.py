@@ -3,7 +3,6 @@
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
-    GroupPositions,
     elapsed_s,
     expect_moved,
     expect_unmoved,
@@ -12,11 +11,11 @@ from motorhil.harness.conformance.clauses.helpers import (
     least_s,
     long_move,
     move_exactly,
-    reached,
     rest_for,
     shortest_s,
     torque_of,
 )
+from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import ControlVariable, DerivativeLimits, Motor, TrapezoidalTrajectory
 
@@ -25,8 +24,6 @@ _TORQUE_SHARE = 0.1
 _SAMPLE_S = 0.01
 _SAMPLES = 10
 _SETTLED_S = 0.2
-_AGE_S = 0.02
-"""The largest age of a measured position: two periods of a usual status message [s]."""
 _PUSH = 0.2  # of the largest torque
 _READINGS = 40
 
@@ -155,47 +152,13 @@ def position_in_motion_is_true(bench: RigProtocol) -> None:
     motor.enable()
     for way in (long_move(bench), -long_move(bench)):
         expected_s = shortest_s(motor, way)
-        watch = _PositionWatch(bench, motor)
+        watch = PositionWatch(bench, motor)
         follow(motor, TrapezoidalTrajectory(way))
         for _ in range(_READINGS):
             watch.read(f"in a move by {way:g} {motor.model.unit}")
             rest_for(bench, expected_s / _READINGS)
         finish(bench, motor, expected_s)
         watch.end(0.5 * abs(way))
-
-
-class _PositionWatch:
-    """Compares reported positions of a motor with its true ones, from its creation."""
-
-    def __init__(self, bench: RigProtocol, motor: Motor) -> None:
-        self._bench, self._motor = bench, motor
-        self._reported, self._true = motor.position(), bench.true_position(motor)
-        self._track = GroupPositions(bench, [motor])
-
-    def read(self, when: str) -> None:
-        """Check that the reported position is a true one of the last moment."""
-        bench, motor = self._bench, self._motor
-        asked_ns = bench.runtime.now_ns()
-        reported = motor.position() - self._reported
-        oldest_ns = asked_ns - round(1e9 * (_AGE_S + max(map(abs, bench.facts.latency_s))))
-        samples = self._track.samples
-        older = [at for at_ns, (at,) in samples if at_ns < oldest_ns][-1:]
-        true = [at for at_ns, (at,) in samples if at_ns >= oldest_ns]
-        true = [at - self._true for at in (*older, *true, bench.true_position(motor))]
-        spare = bench.facts.window + 2.0 * (motor.model.resolution or 0.0)
-        unit = motor.model.unit
-        expect(
-            min(true) - spare <= reported <= max(true) + spare,
-            f"{when}: position() reported {reported:.6g} {unit} from the start; in the last"
-            f" {(bench.runtime.now_ns() - oldest_ns) / 1e9:.3f} s it was {min(true):.6g} to"
-            f" {max(true):.6g} {unit}",
-        )
-
-    def end(self, way: float) -> None:
-        """Stop comparing; the motor must have moved by this distance, or more."""
-        self._track.end()
-        moved = abs(self._bench.true_position(self._motor) - self._true)
-        reached(moved >= way, f"a motion of {way:g} {self._motor.model.unit}")
 
 
 @clause(
@@ -211,7 +174,7 @@ def pushed_motor_reports_its_place(bench: RigProtocol) -> None:
     move_exactly(bench, motor, 0.1 * long_move(bench), "before it was pushed")
     for torque in (torque_of(motor, _PUSH), torque_of(motor, -_PUSH)):
         motor.disable()
-        watch = _PositionWatch(bench, motor)
+        watch = PositionWatch(bench, motor)
         bench.load(motor, torque)
         for _ in range(10):
             rest_for(bench, 0.02)

@@ -3,16 +3,19 @@
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
     expect_moved,
     expect_rest,
     expect_state,
     expect_unmoved,
+    failure_of,
     finish,
     follow,
     long_move,
@@ -25,6 +28,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     speed,
     turn,
 )
+from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
@@ -35,6 +39,7 @@ from motorhil.motorapi import (
     MotorState,
     StateError,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 
 _SHARED = {Ability.SEVERAL_USERS}
@@ -43,6 +48,7 @@ _PATIENCE_S = 10.0
 _LEASE_S = 0.2
 _EXAMPLES: Final = 8
 _STEPS: Final = 15
+_READINGS: Final = 20
 
 
 def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
@@ -132,29 +138,36 @@ def refused_user_sends_no_command(bench: RigProtocol) -> None:
 def any_user_may_read_and_stop(bench: RigProtocol) -> None:
     """Other users may read and stop a moving motor; its user learns which one stopped it."""
     motor, other = _both(bench)
-    begin, way = position_of(bench, motor), 2.0 * long_move(bench)
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, midway_s(motor, way, 0.3))
-    difference = abs(other.position() - motor.position())
-    expect(
-        difference <= 0.1 * motor.model.velocity_max,
-        f"positions of {other.name} and {motor.name} differ by {difference:g}",
-    )
-    expect(other.state() is motor.state(), "the states of one motor differ")
-    other.stop()
+    way = 2.0 * long_move(bench)
+    for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
+        begin = position_of(bench, motor)
+        follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, midway_s(motor, way, 0.3))
+        difference = abs(other.position() - motor.position())
+        expect(
+            difference <= 0.1 * motor.model.velocity_max,
+            f"positions of {other.name} and {motor.name} differ by {difference:g}",
+        )
+        expect(other.state() is motor.state(), "the states of one motor differ")
+        what = f"{stop.__name__}() of {other.name}"
+        stop(other)
+        _expect_interrupted(motor, other, what)
+        finish(bench, other)
+        expect_rest(bench, motor, what)
+        made = abs(position_of(bench, motor) - begin)
+        expect(made < 0.95 * abs(way), f"after {what}, the motor moved {made:g} of {way:g}")
+        motor.enable()
+        way = -way
+
+
+def _expect_interrupted(motor: Motor, other: Motor, what: str) -> None:
+    """Check that the user of this motor learns that `other` has stopped it."""
     try:
         motor.wait_until_done(_PATIENCE_S)
     except MotionInterrupted as error:
-        expect(
-            other.name in error.by,
-            f"stopped by {other.name}; reported is {error.by}",
-        )
+        expect(other.name in error.by, f"{what}: reported is {error.by}; expected {other.name}")
     else:
-        raise Violated(f"{other.name} stopped the motor, but {motor.name} reported done")
-    finish(bench, other)
-    expect_rest(bench, motor, f"stopped by {other.name}")
-    made = abs(position_of(bench, motor) - begin)
-    expect(made < 0.95 * way, f"stopped by {other.name}, the motor moved {made:g} of {way:g}")
+        raise Violated(f"{what} stopped the motor, but {motor.name} reported done")
 
 
 @clause(
@@ -294,9 +307,15 @@ def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
             expect(not survey.is_held, "is_held is True after a takeover")
             _prepare(motor, long_move(bench))
             before = position_of(bench, motor)
-            error = _refusal_of(motor.start)
-            expect(error is not None, f"{motor.name} was started after a takeover")
-            expect_unmoved(bench, motor, before, "after a start() of the former user")
+            for operation in (motor.start, motor.enable, motor.disable, motor.home):
+                error = _refusal_of(operation)
+                what = f"{operation.__name__}() of {motor.name}, which was taken over"
+                expect(
+                    error is not None and error.holder.endswith(other.name),
+                    f"{what}: {error}; expected a refusal that names {other.name}",
+                )
+                expect_unmoved(bench, motor, before, what)
+            expect_state(other, MotorState.ENABLED, "after commands of the former user")
             move(bench, other, 0.1 * long_move(bench))
     with motor.reserve("lease", lease_s=_LEASE_S) as lease:
         expect(_refusal_of(lambda: _reserve(other)) is not None, "a valid lease was taken")
@@ -371,6 +390,94 @@ def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     move(bench, motor, 0.1 * long_move(bench))
     for _ in range(2):
         motor.close()
+
+
+@clause(
+    "SHARE-12",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="motorapi.motor: read access needs no ownership and never disturbs the owner",
+)
+def reserved_motor_may_be_read(bench: RigProtocol) -> None:
+    """During a reservation and its motions, others read the motor, and do not disturb it."""
+    motor, other = _both(bench)
+    way = 0.5 * long_move(bench)
+    move(bench, motor, 0.1 * way)
+    for user, reader in ((motor, other), (other, motor)):
+        before, expected_s = position_of(bench, motor), shortest_s(motor, way)
+        with user.reserve("a clause"):
+            _expect_readable(bench, reader, user)
+            follow(user, TrapezoidalTrajectory(way))
+            begun_ns = bench.runtime.now_ns()
+            while not user.is_done():
+                _expect_readable(bench, reader, user)
+                rest_for(bench, 0.05 * expected_s)
+                expect(elapsed_s(bench, begun_ns) < 10.0 * expected_s, "the motion does not end")
+            took_s = elapsed_s(bench, begun_ns)
+            most_s = 1.2 * expected_s + bench.facts.time_tolerance_s + bench.facts.latency_s[1]
+            expect(
+                took_s <= most_s,
+                f"read by {reader.name}, a move of {user.name} took {took_s:.3f} s; expected at"
+                f" most {most_s:.3f} s",
+            )
+            expect_moved(bench, motor, before, way, f"read by {reader.name}, moved by {user.name}")
+
+
+def _expect_readable(bench: RigProtocol, reader: Motor, user: Motor) -> None:
+    """Check that this user reads the motor as it is, although another one has it."""
+    what = f"read by {reader.name}, reserved by {user.name}"
+    error = failure_of(reader.position, reader.velocity, reader.fault)
+    expect(error is None, f"{what}: {error}; expected a value")
+    expect_state(reader, MotorState.ENABLED, what)
+    mine, theirs = user.position(), reader.position()
+    spare = bench.facts.window + 0.1 * user.model.velocity_max
+    expect(abs(theirs - mine) <= spare, f"{what}: position {theirs:g}; {user.name} reads {mine:g}")
+
+
+@clause(
+    "SHARE-13",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_SHARED, Ability.TRUTH},
+    source="motorapi.motor: read access needs no ownership; paper 3.5, one object shared by all",
+)
+def readers_at_once_get_own_answers(bench: RigProtocol) -> None:
+    """Several threads that read a moving motor at once get true values, each its own."""
+    motor, other = _both(bench)
+    motor.enable()
+    way = long_move(bench)
+    expected_s = shortest_s(motor, way)
+    watches = [PositionWatch(bench, one) for one in (motor, other)]
+    top = 1.2 * motor.model.velocity_max
+    velocities: list[float] = []
+
+    def read_positions(watch: PositionWatch) -> None:
+        for _ in range(_READINGS):
+            watch.read("read by two threads at once")
+
+    def read_velocities(user: Motor) -> None:
+        velocities.extend(user.velocity() for _ in range(_READINGS))
+
+    def read_errors() -> None:
+        with suppress(UnsupportedError):
+            for _ in range(_READINGS):
+                other.following_error()
+
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, 0.3 * expected_s)
+    reads: list[Callable[[], None]] = [partial(read_positions, watch) for watch in watches]
+    reads += [partial(read_velocities, motor), partial(read_velocities, other), read_errors]
+    parties = [bench.runtime.spawn(f"reader {n + 1}", read) for n, read in enumerate(reads)]
+    for party in parties:
+        expect(party.join(_PATIENCE_S), f"{party.name} got no answers within {_PATIENCE_S:g} s")
+        if party.error is not None:
+            raise Violated(f"{party.name} of {len(parties)} at once: {party.error!r}")
+    finish(bench, motor, expected_s)
+    for watch in watches:
+        watch.end(0.5 * way)
+    wrong = [velocity for velocity in velocities if not -0.1 * top <= velocity <= top]
+    expect(not wrong, f"velocities of {wrong} were read in a move of at most {top:g}")
 
 
 @clause(

@@ -5,7 +5,7 @@ no others. With a declaration the traffic on that bus is known, and motorapi can
 a start. A declaration does not send anything.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final, final
 
@@ -57,7 +57,7 @@ class MessageTable:
     fd: bool = flag(False, "A CAN FD frame.")
     bit_rate_switch: bool = flag(False, "Its data have the data bit rate (BRS).")
 
-    SCHEMA: ClassVar = {
+    SCHEMA: ClassVar[Mapping[str, object]] = {
         "if": {"properties": {"fd": {"const": True}}, "required": ["fd"]},
         "then": {"properties": {"length": {"enum": list(FD_LENGTHS)}}},
         "else": {

@@ -197,7 +197,7 @@ class BusTable:
             remedy="write bitrate_bit_s = 1_000_000",
         ),
     )
-    SCHEMA: ClassVar = {
+    SCHEMA: ClassVar[Mapping[str, object]] = {
         "if": {"not": {"required": ["data_bitrate_bit_s"]}},
         "then": {"properties": {"message": {"items": {"properties": {"fd": {"const": False}}}}}},
     }

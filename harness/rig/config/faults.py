@@ -193,7 +193,7 @@ class FaultTable(FaultBusTable):
         ),
         Rule("noise", refused=_CAN_KEYS, message="is for CAN buses", remedy="take it out"),
     )
-    SCHEMA: ClassVar = {
+    SCHEMA: ClassVar[Mapping[str, object]] = {
         "anyOf": [
             {"properties": {"identifier": {"maximum": _SFF_MASK}}},
             {"properties": {"extended": {"const": True}}, "required": ["extended"]},

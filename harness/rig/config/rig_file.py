@@ -130,7 +130,7 @@ class MotorTable(AddressTable):
         REQUIRED, _Model(), "Its motor model: a file, from the rig's folder on, or a table."
     )
 
-    SCHEMA: ClassVar = {
+    SCHEMA: ClassVar[Mapping[str, object]] = {
         "if": {"required": ["controller"]},
         "then": {"properties": {"bus": False, "node_id": False, "unit": False}},
         "properties": {"name": False},

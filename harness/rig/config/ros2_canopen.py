@@ -15,11 +15,11 @@ Sources: ros2_canopen, user guide, "Configuration Package"; Lely core, dcf-tools
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 from motorhil.emulators.canopen.files.eds import EdsError, EdsText, parse_integer, read_eds
 from motorhil.harness.rig.config.toml import RigError
@@ -73,9 +73,21 @@ def rig_of_bus(source: Path, folder: Path) -> tuple[str, list[str]]:
     """Return the text of a rig in `folder` with the nodes of a bus.yml, and notes about it.
 
     Raises:
-        RigError: the file cannot be read, or a node has no usable description; names the section.
+        RigError: the file cannot be read, or a section is not usable.
+        BusFileError: several sections are not usable.
     """
     return _Bus(source).rig(folder)
+
+
+@final
+class BusFileError(RigError):
+    """Several errors of a bus.yml, one a line."""
+
+    def __init__(self, errors: Sequence[RigError]) -> None:
+        first = errors[0]
+        told = first.file, first.message, first.remedy
+        super().__init__(*told, line=first.line, key=first.key)
+        self.args = ("\n".join(map(str, errors)),)
 
 
 @final
@@ -85,7 +97,9 @@ class _Bus:
     def __init__(self, source: Path) -> None:
         self._source = source
         self.notes: list[str] = []
-        whole = _section(source, "the file", _yaml(source))
+        self._errors: list[RigError] = []
+        content, self._lines = _yaml(source)
+        whole = _section(source, "the file", content)
         self._master = _section(source, "master", whole.get("master", {}))
         self._defaults = _section(source, "defaults", whole.get("defaults", {}))
         self._tell("options", _section(source, "options", whole.get("options", {})), _OPTIONS_KNOWN)
@@ -106,19 +120,12 @@ class _Bus:
         master_id = self._whole(self._master, "master", "node_id", 0)
         baudrate = self._whole(self._master, "master", "baudrate", _BAUDRATE_KBIT_S)
         self._tell("master", self._master, _MASTER_USED | _MASTER_KNOWN)
-        nodes = [
-            node
-            for name in self._nodes
-            if (node := self._node(name, _section(self._source, name, self._nodes[name])))
-        ]
-        if not nodes:
+        sync = self._sync()
+        nodes = list(self._usable_nodes(master_id))
+        if not nodes and not self._errors:
             raise RigError(self._source, "no node to emulate", "add a node with node_id and dcf")
-        taken: dict[int, str] = {master_id: "the master"}
-        for node in nodes:
-            if node.node_id in taken:
-                text = f"node-ID {node.node_id} is also that of {taken[node.node_id]}"
-                raise RigError(self._source, text, "give each a node-ID of its own", key=node.name)
-            taken[node.node_id] = node.name
+        if self._errors:
+            raise self._errors[0] if len(self._errors) == 1 else BusFileError(self._errors)
         self.notes.append("sdo, rpdo, tpdo, heartbeats: the master writes them when a node boots")
         lines = [
             f"# The nodes of {self._source.name}, for a master that runs outside the rig.",
@@ -129,13 +136,37 @@ class _Bus:
             "",
             "[bus.can0]",
             f"bitrate_bit_s = {baudrate * 1000}",
-            *self._sync(),
+            *sync,
         ]
         for node in nodes:
             eds = Path(os.path.relpath(node.eds, folder)).as_posix()
             lines += ["", f"[controller.{node.name}]", f'kind = "{node.kind}"', 'bus = "can0"']
             lines += [f"node_id = {node.node_id}", f"eds = {json.dumps(eds)}"]
         return "\n".join(lines) + "\n", self.notes
+
+    def _usable_nodes(self, master_id: int) -> Iterator[_Node]:
+        """Yield the nodes that can be emulated, each with a node-ID of its own."""
+        taken: dict[int, str] = {master_id: "the master"}
+        for name in self._nodes:
+            try:
+                node = self._node(name, _section(self._source, name, self._nodes[name]))
+            except RigError as error:
+                self._errors.append(error)
+                continue
+            if node is None:
+                continue
+            if node.node_id in taken:
+                text = f"node-ID {node.node_id} is also that of {taken[node.node_id]}"
+                remedy = "give each a node-ID of its own"
+                self._errors.append(self._error(name, "node_id", text, remedy))
+            taken.setdefault(node.node_id, name)
+            yield node
+
+    def _error(self, name: str, key: str, text: str, remedy: str) -> RigError:
+        """Return the error of a key in a section, with its line or that of the section."""
+        places = ((name, key), ("defaults", key), (name,))
+        line = next((self._lines[place] for place in places if place in self._lines), None)
+        return RigError(self._source, text, remedy, line=line, key=name)
 
     def _sync(self) -> list[str]:
         """Return the declaration of the master's SYNC."""
@@ -157,17 +188,18 @@ class _Bus:
         self._tell(name, values, _NODE_USED | _NODE_KNOWN)
         dcf = values.get("dcf")
         if not isinstance(dcf, str):
-            raise RigError(self._source, "no dcf: the file of its objects is missing", key=name)
+            text = "no dcf: the file of its objects is missing"
+            raise self._error(name, "dcf", text, "write dcf: and its EDS or DCF")
         eds = self._source.parent / dcf.removeprefix(f"{_CONFIG_PATH}/")
         try:
             node_id = self._whole(values, name, "node_id", _commissioned(eds))
             if not 1 <= node_id <= _NODE_ID_MAX:
                 text, remedy = f"node_id {node_id} is not 1 to {_NODE_ID_MAX}", "write its node-ID"
-                raise RigError(self._source, text, remedy, key=name)
+                raise self._error(name, "node_id", text, remedy)
             od = read_eds(eds, node_id).dictionary()
         except EdsError as error:
             place = f"{error.path}:{error.line}" if error.line else str(error.path)
-            raise RigError(self._source, f"{place}: {error.text}", error.remedy, key=name) from None
+            raise self._error(name, "dcf", f"{place}: {error.text}", error.remedy) from None
         if self._whole(values, name, "num_channels", 1) > 1:
             self.notes.append(f"{name}: num_channels: only the first axis moves")
         is_drive = all(od.get(*place) for place in _DRIVE)
@@ -190,7 +222,11 @@ class _Bus:
         value = section.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             text = f"{key} is {value!r}; expected a whole number"
-            raise RigError(self._source, text, "correct it", key=name)
+            error = self._error(name, key, text, "correct it")
+            if name != "master":
+                raise error
+            self._errors.append(error)
+            return default
         return value
 
     def _tell(self, name: str, section: Mapping[str, object], known: frozenset[str]) -> None:
@@ -199,22 +235,40 @@ class _Bus:
             self.notes.append(f"{name}: unknown keys, left out: {', '.join(unknown)}")
 
 
-def _yaml(source: Path) -> object:
+def _yaml(source: Path) -> tuple[object, Mapping[tuple[str, ...], int]]:
+    """Return the content of a YAML file, and the lines of its sections and their keys."""
     try:
         yaml = import_module("yaml")
     except ModuleNotFoundError:
         remedy = "install it: pip install 'motorhil[yaml]'"
         raise RigError(source, "reading it needs the package PyYAML", remedy) from None
     try:
-        content: object = yaml.safe_load(source.read_bytes())
+        text = source.read_bytes()
+        content: object = yaml.safe_load(text)
+        lines = dict(_lines(yaml.compose(text, yaml.SafeLoader)))
     except OSError as error:
         raise RigError(source, f"cannot be read: {error.strerror}", "check the path") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = None if mark is None else mark.line + 1
-        text = getattr(error, "problem", None) or "cannot be parsed"
-        raise RigError(source, f"is not YAML: {text}", "correct it", line=line) from None
-    return content
+        what = getattr(error, "problem", None) or "cannot be parsed"
+        raise RigError(source, f"is not YAML: {what}", "correct it", line=line) from None
+    return content, lines
+
+
+def _lines(node: Any, *above: str) -> Iterator[tuple[tuple[str, ...], int]]:
+    """Yield the lines of sections and of their keys; `nodes` only holds sections.
+
+    The type of a YAML node is that of an optional package.
+    """
+    for key, value in node.value if getattr(node, "id", "") == "mapping" else ():
+        name = str(key.value)
+        yield (*above, name), key.start_mark.line + 1
+        if not above and name == "nodes":
+            for one in value.value if value.id == "sequence" else (value,):
+                yield from _lines(one)
+        elif not above:
+            yield from _lines(value, name)
 
 
 def _section(source: Path, name: str, value: object) -> Mapping[str, object]:

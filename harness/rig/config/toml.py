@@ -23,6 +23,7 @@ from typing import Final, TypeVar, final
 
 from motorhil.settings import (
     BARE_KEY,
+    INTEGER_MAX,
     KeyPath,
     SettingError,
     as_table,
@@ -226,7 +227,6 @@ _REQUIRED: Final = object()
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 SEED_MAX: Final = 2**32 - 1
 _BYTES_MAX: Final = 16_000_000
-_INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 
 
 class RigError(Exception):
@@ -320,7 +320,7 @@ class Source:
         elif isinstance(value, list):
             for index, item in enumerate(value):
                 self._refuse_long_integers((*path, index), item)
-        elif isinstance(value, int) and abs(value) > _INTEGER_MAX:
+        elif isinstance(value, int) and abs(value) > INTEGER_MAX:
             raise self.error(path, "is an integer of more than 64 bits", "write a smaller one")
 
     def line(self, path: KeyPath) -> int:

@@ -92,7 +92,7 @@ _RECEIVING: Final = (
 
 
 @final
-class SimpleQueue(_PySimpleQueue):  # type: ignore[misc]  # typeshed does not know it
+class _SimpleQueue(_PySimpleQueue):  # type: ignore[misc]  # typeshed does not know it
     """Stand-in for queue.SimpleQueue, in Python and therefore built from our locks."""
 
 
@@ -135,7 +135,7 @@ def _pairs() -> list[tuple[object, object]]:
         (_thread.start_new_thread, threads.start_new_thread),
         (threading.enumerate, threads.enumerate_threads),
         (threading.active_count, threads.active_count),
-        (queue.SimpleQueue, SimpleQueue),
+        (queue.SimpleQueue, _SimpleQueue),
         *clocks.stand_ins(),
         *dates.date_stand_ins(),
         *stand_ins(),

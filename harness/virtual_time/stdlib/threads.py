@@ -60,7 +60,7 @@ class Program:
 
     def __init__(self, runtime: VirtualRuntime) -> None:
         self.runtime = runtime
-        self.ahead_ns = 0  # the last value of a clock
+        self.ahead_ns: int = 0  # the last value of a clock
         self.parties: list[VirtualParty] = []  # running threads when the last was added
         self._bills = 0  # consecutive waits for time to catch up, with nothing in between
         self._paid_ns = -1

@@ -47,7 +47,7 @@ class Transmission:
     __slots__ = ("frame", "time_ns")
 
     def __init__(self, frame: bytes) -> None:
-        self.frame = frame
+        self.frame: bytes = frame
         self.time_ns: int | None = None
 
 
@@ -125,7 +125,7 @@ class CanLink:
         self.status: Final = status_of(bus, self.name)
         self.on_bus_off: Final[list[Callable[[], None]]] = []
         self.on_other: FrameHandler | None = None
-        self.confirms = False
+        self.confirms: bool = False
         self._handlers: dict[bytes, FrameHandler] = {}
         self._sent_handlers: dict[bytes, FrameHandler] = {}
         self._transmissions = Transmissions(self.name)

@@ -62,9 +62,9 @@ class CanopenNode:
         self.emergencies: Final[deque[Emergency]] = deque(maxlen=_EMERGENCIES_MAX)
         self.error: Emergency | None = None
         self.nmt_state: int | None = None
-        self.boots = 0
+        self.boots: int = 0
         self.lost_since_ns: int | None = None
-        self.malformed = 0
+        self.malformed: int = 0
         self._options: Final = options
         self._operational_ns = -1  # time of the last such report
         self._keeps_host_heartbeat = False

@@ -122,15 +122,15 @@ class ChannelClient(SdoClient):
         super().__init__(  # type: ignore[no-untyped-call]  # canopen's
             REQUEST_ID + node_id, RESPONSE_ID + node_id, _NothingKnown()
         )
-        self.network = LinkNetwork(link)
+        self.network: LinkNetwork = LinkNetwork(link)
         self.timeout_s = timeout_s
-        self.strays = 0
-        self.booted = False
+        self.strays: int = 0
+        self.booted: bool = False
         self._link = link
         self._runtime: Runtime = link.runtime
         self._request: Transmission | None = None
         self.fence: Fence | None = None  # of a transfer that requires ownership to write
-        self.is_under_way = False  # a request of the transfer has been sent
+        self.is_under_way: bool = False  # a request of the transfer has been sent
         self._offs = 0  # number of bus-offs before the request
         self._opened = b""  # index and sub-index of the transfer
         self._opened_service = _UPLOAD

@@ -310,12 +310,12 @@ class BusSync:
         self._frame: Final = can_frame(SYNC_ID, b"")
         self._fences: Final = fences
         self.latching: Final[set[int]] = set()
-        self.lost = False
+        self.lost: bool = False
         self.planned_s: float | None = None
         self.turns: Final = self._bus.turns
         self.marks: Final = self._bus.marks
         share_trigger(link.runtime, link.name, self.turns)
-        self.count = 0
+        self.count: int = 0
         self._users: list[_User] = []
         self._period_ns: int | None = None
         self._timer: Registration | None = None  # of the producer, or of its follower

@@ -157,15 +157,15 @@ class DriveControl:
         self._link = node.link
         self._sync = node.bus.sync
         self._mode: Mode | None = None
-        self.is_halted = False  # stopped since `take_set_points`, by any program
+        self.is_halted: bool = False  # stopped since `take_set_points`, by any program
         self._word: int | None = None  # the controlword commanded last
         self._relative = 0  # bit 6 of the next set-point
-        self.acknowledge_at_rest = 0  # set-point acknowledge while there is nothing to acknowledge
+        self.acknowledge_at_rest: int = 0  # set-point acknowledge while nothing waits for it
         self._repetition: StopRepetition | None = None
         self._armed: int | None = None  # index of the target that the next SYNC latches
         self._latched: int | None = None  # the same, until the drive has shown that it has started
-        self.may_be_armed = False  # by a former owner that still has its turn at SYNC
-        self.holds_halt = False  # a halt of ours waits for a SYNC in its place
+        self.may_be_armed: bool = False  # by a former owner that still has its turn at SYNC
+        self.holds_halt: bool = False  # a halt of ours waits for a SYNC in its place
 
     def forget(self) -> None:
         """Forget everything about the drive, as it has booted or is new."""

@@ -141,14 +141,14 @@ class CspStream:
         self._registration: Registration | None = None
         self._fence: BoundFence | None = None
         self._last_sent: Transmission | None = None
-        self.sent = 0
-        self.late = 0
-        self.missed = 0
+        self.sent: int = 0
+        self.late: int = 0
+        self.missed: int = 0
         self._begun_ns = 0
         self._before_ns = 0
         self._behind_inc = behind_inc
         self._stood = (0, 0, 0)  # position at its last change, the target then, and the time
-        self.ended = False
+        self.ended: bool = False
         self.error: Exception | None = None
         self.started_ns: int | None = None
         self.latched_ns: int | None = None
@@ -447,12 +447,12 @@ class StreamedMotion:
         self._recent: deque[float] = deque([self._from], 2 * self._window + 1)
         self._shift = 0.0  # of a relative trajectory: change of the argument since planning
         self._approach = self._approach_of(motion)
-        self.lead_in = 0
+        self.lead_in: int = 0
         if self._approach is not None:
             self.lead_in = ceil(self._approach.duration_s / period_s * (1.0 - _ROUNDING))
-        self.lead = self.lead_in
-        self.over = False
-        self.velocity = 0.0
+        self.lead: int = self.lead_in
+        self.over: bool = False
+        self.velocity: float = 0.0
 
     def _approach_of(self, motion: Motion) -> Trapezoid | None:
         """Return the profile from the motor's position to the beginning; None: it is there."""

@@ -127,7 +127,7 @@ class Cia402HwMotor:
         self.stream: CspStream | None = None
         self.parameters: Final = ParameterStore(self.node, self.objects)
         self._homed_at_boot: int | None = None
-        self.home_changes = 0
+        self.home_changes: int = 0
         self._is_doubted = False
         guard = guarding(runtime, self.physical, self.node, self.control, self.end_stream)
         self._close = weakref.finalize(self, _let_go, self.node, guard)

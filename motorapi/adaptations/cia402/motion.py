@@ -234,7 +234,7 @@ class DriveMotions:
         self._model = model
         self._reader = reader
         self._motor = motor
-        self.parameters = Cia402Parameters()
+        self.parameters: Cia402Parameters = Cia402Parameters()
         self._watch: SetpointWatch | StreamWatch | None = None
         self._before: MotionWatch | None = None
         self._armed: CspStream | None = None  # the stream that begins, or began last

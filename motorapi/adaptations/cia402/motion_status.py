@@ -66,7 +66,7 @@ class SetpointWatch:
     ) -> None:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
-        self.failed = False
+        self.failed: bool = False
         self.on_end: Callable[[], None] | None = None
         self.commanded_ns = commanded_ns
         self._expected_ns = expected_ns
@@ -199,7 +199,7 @@ class StreamWatch:
     def __init__(self, *, period_ns: int, tolerance_inc: int | None) -> None:
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
-        self.failed = False
+        self.failed: bool = False
         self.on_end: Callable[[], None] | None = None
         self.error: Exception | None = None
         self._period_ns = period_ns
@@ -275,7 +275,7 @@ class HomingWatch:
         self._on_success = on_success
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
-        self.failed = False
+        self.failed: bool = False
         self.on_end: Callable[[], None] | None = None
         self._commanded_ns = commanded_ns
         self._fresh = False

@@ -58,16 +58,16 @@ class DriveNode(CanopenNode):
 
     def __init__(self, bus: CanopenBus, node_id: int, options: NodeOptions) -> None:
         super().__init__(bus, node_id, options, OBJECTS)
-        self.statusword = 0
-        self.position_inc = 0
-        self.counter = 0
+        self.statusword: int = 0
+        self.position_inc: int = 0
+        self.counter: int = 0
         self._wrapped_inc = 0  # a multiple of the counter's span: what its wraps have lost
-        self.status_ns = -1
+        self.status_ns: int = -1
         self.values: Final[dict[tuple[int, int], int]] = {}
-        self.status_is_cyclic = False
+        self.status_is_cyclic: bool = False
         self._stood_inc = 0  # the position at its last change,
         self._stood_ns = 0  # and the time
-        self.told_ns = -1
+        self.told_ns: int = -1
         self._young_ns = 0
         self._present_ns = 0
         self.watch: MotionWatch | None = None
@@ -101,7 +101,7 @@ class DriveNode(CanopenNode):
 
     def _on_status_position(self, frame: bytes, time_ns: int) -> None:
         if frame[4] != 6:
-            self.malformed += 1
+            self.malformed: int = self.malformed + 1
             return
         word, counter = _STATUS_POSITION(frame)
         self.told_ns = time_ns

@@ -167,7 +167,7 @@ class ParameterStore:
         self._objects = objects
         self._own: dict[Place, bytes] = {}  # before the first write
         self._boots = -1
-        self.keeps_halt_option = False
+        self.keeps_halt_option: bool = False
         self._home_offset: tuple[int, int] | None = None  # boot-ups, and the original value
 
     def apply(self, motor: str, wanted: dict[Place, int]) -> None:

@@ -213,7 +213,7 @@ class ArmedSetPoint:
         self._index = index
         self._target = target
         self._fired = fired
-        self.place = 0
+        self.place: int = 0
         self._mark: LockHandle | None = None
         self.transmission: Transmission | None = None
         self.latched_ns: int | None = None

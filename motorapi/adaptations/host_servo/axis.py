@@ -58,13 +58,13 @@ class ServoAxis:
     ) -> None:
         self.physical: Final = physical
         self.servo: Final = Servo(period_s)
-        self.is_active = False
-        self.is_stopped = False
+        self.is_active: bool = False
+        self.is_stopped: bool = False
         self.failure: MotorError | None = None
         self.fault: Fault | None = None
         self.amplifier_fault_ns: int | None = None
-        self.counted_ns = -1
-        self.steps = 0
+        self.counted_ns: int = -1
+        self.steps: int = 0
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
         self._io: Final = io

@@ -300,7 +300,7 @@ class Cycle:
 
     def __init__(self, bus: CanopenBus, period_s: float) -> None:
         self.period_s: Final = period_s
-        self.count = 0
+        self.count: int = 0
         self.armed: list[Axis] = []
         self._link: Final = bus.link
         self._sync: Final = bus.sync

@@ -37,14 +37,14 @@ class Course:
 
     def __init__(self, kind: int, target: float, *, is_step: bool = False) -> None:
         self.kind = kind
-        self.value = target
-        self.velocity = 0.0
-        self.acceleration = 0.0
+        self.value: float = target
+        self.velocity: float = 0.0
+        self.acceleration: float = 0.0
         self.is_step = is_step
         self.is_stop = False
-        self.final_velocity = 0.0
-        self.target = target
-        self.is_over = True
+        self.final_velocity: float = 0.0
+        self.target: float = target
+        self.is_over: bool = True
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start; feed-forward for `ahead_s` later.
@@ -71,16 +71,17 @@ class Rated(Course):
     ) -> None:
         super().__init__(kind, target)
         self._ramps = Ramps(start, target, growing, shrinking)
-        self.is_over = self._ramps.duration_s == 0.0
+        self.is_over: bool = self._ramps.duration_s == 0.0
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start."""
         on_ramp = self._ramps.at(elapsed_s)
         self.is_over = on_ramp is None
-        self.value, rate = (self.target, 0.0) if on_ramp is None else on_ramp
+        value, rate = (self.target, 0.0) if on_ramp is None else on_ramp
+        self.value: float = value
         if self.kind == VELOCITY:
-            self.velocity = self.value
-            self.acceleration = rate
+            self.velocity: float = value
+            self.acceleration: float = rate
 
 
 @final
@@ -93,19 +94,19 @@ class Braking(Course):
         self._rate = -deceleration if velocity > 0.0 else deceleration
         self._end_s = abs(velocity) / deceleration
         super().__init__(POSITION, place + 0.5 * velocity * self._end_s)
-        self.is_over = False
+        self.is_over: bool = False
         self.is_stop = True
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start."""
         end_s = self._end_s
         then_s = min(elapsed_s + ahead_s, end_s)
-        self.velocity = self._velocity + self._rate * then_s if then_s < end_s else 0.0
-        self.acceleration = self._rate if then_s < end_s else 0.0
+        self.velocity: float = self._velocity + self._rate * then_s if then_s < end_s else 0.0
+        self.acceleration: float = self._rate if then_s < end_s else 0.0
         if elapsed_s < end_s:
             self.value = self._place + (self._velocity + 0.5 * self._rate * elapsed_s) * elapsed_s
         else:
-            self.value = self.target
+            self.value: float = self.target
             self.is_over = True
 
 
@@ -119,18 +120,18 @@ class Tracked(Course):
         self._scale = scale
         self._start = demand.initial_argument
         self._end = demand.final_argument
-        self.is_over = False
+        self.is_over: bool = False
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start."""
         demand = self._demand
         now = self._start + elapsed_s
-        self.value = demand.value(now) * self._scale
+        self.value: float = demand.value(now) * self._scale
         self.is_over = now >= self._end
         if self.kind == POSITION:
             then = now + ahead_s
-            self.velocity = demand.first(then) * self._scale
-            self.acceleration = demand.second(then) * self._scale
+            self.velocity: float = demand.first(then) * self._scale
+            self.acceleration: float = demand.second(then) * self._scale
         elif self.kind == VELOCITY:
             self.velocity = self.value
             self.acceleration = demand.first(now + ahead_s) * self._scale
@@ -151,8 +152,8 @@ class Moving(Course):
         self._planned = planned
         self._scale = scale
         self._tracked = Tracked(POSITION, demand_of(motion), scale)
-        self.final_velocity = motion.final_velocity * scale
-        self.is_over = False
+        self.final_velocity: float = motion.final_velocity * scale
+        self.is_over: bool = False
 
     def begin(self, demand: float) -> None:
         """Plan the motion from this demand [inc].
@@ -162,14 +163,16 @@ class Moving(Course):
         """
         motion = self._planned(demand / self._scale)
         self._tracked = Tracked(POSITION, demand_of(motion), self._scale)
-        self.target = self._tracked.target
+        self.target: float = self._tracked.target
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for `elapsed_s` after the start."""
         tracked = self._tracked
         tracked.sample(elapsed_s, ahead_s)
-        self.value, self.velocity = tracked.value, tracked.velocity
-        self.acceleration, self.is_over = tracked.acceleration, tracked.is_over
+        self.value: float = tracked.value
+        self.velocity: float = tracked.velocity
+        self.acceleration: float = tracked.acceleration
+        self.is_over = tracked.is_over
 
 
 @final
@@ -182,7 +185,7 @@ class Led(Course):
         self._scale = scale
         self._argument = argument
         self._before = (0.0, value_of(argument))
-        self.is_over = False
+        self.is_over: bool = False
 
     def sample(self, elapsed_s: float, ahead_s: float) -> None:
         """Set the demand for the present value of the argument."""
@@ -192,11 +195,12 @@ class Led(Course):
         passed_s = elapsed_s - then_s
         rate = (now - before) / passed_s if passed_s > 0.0 else 0.0
         self._before = (elapsed_s, now)
-        self.value = self.target = demand.value(now) * self._scale
+        self.target: float = demand.value(now) * self._scale
+        self.value: float = self.target
         self.is_over = now >= demand.final_argument
         if self.kind == POSITION:
-            self.velocity = demand.first(now) * rate * self._scale
-            self.acceleration = demand.second(now) * rate * rate * self._scale
+            self.velocity: float = demand.first(now) * rate * self._scale
+            self.acceleration: float = demand.second(now) * rate * rate * self._scale
         elif self.kind == VELOCITY:
             self.velocity = self.value
             self.acceleration = demand.first(now) * rate * self._scale

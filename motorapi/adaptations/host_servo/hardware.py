@@ -152,7 +152,7 @@ class AmplifierHwMotor:
             self.options.cycle_ms / 1e3,
             _RAW_PER_VOLT / self.current_per_volt_a_v,
         )
-        self.is_closed = False
+        self.is_closed: bool = False
         self.users = 0
         self._pair: ChannelPair | None = None
         self._boot = -1

@@ -151,10 +151,10 @@ class AmplifierNode:
         self.node.sdo.process_lock = self._sdo_lock = locks[1]
         if self.occupation.fence is not None:
             self.node.sdo.fence = canopen_bus.fences[node_id] = self.occupation.fence
-        self.inputs = 0
-        self.inputs_ns = -1
-        self.users = 0
-        self.is_closed = False
+        self.inputs: int = 0
+        self.inputs_ns: int = -1
+        self.users: int = 0
+        self.is_closed: bool = False
         self.on_inputs: list[Callable[[int], None]] = []
         self.on_facts: list[Callable[[IoFacts], None]] = []
         self.facts: IoFacts | None = None

@@ -98,14 +98,14 @@ class Servo:
     """
 
     def __init__(self, period_s: float) -> None:
-        self.position = 0.0
-        self.velocity = 0.0
-        self.demand = 0.0
-        self.demand_velocity = 0.0
-        self.current_a = 0.0
+        self.position: float = 0.0
+        self.velocity: float = 0.0
+        self.demand: float = 0.0
+        self.demand_velocity: float = 0.0
+        self.current_a: float = 0.0
         self.course: Course | None = None
-        self.is_done = True
-        self.lags = False
+        self.is_done: bool = True
+        self.lags: bool = False
         self.error: MotorError | None = None
         self._period_s: Final = period_s
         self._count = 0

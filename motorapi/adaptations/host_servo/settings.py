@@ -1,5 +1,6 @@
 """Settings of the host for an I/O node, and of a servo that runs on the host."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import isfinite
 from typing import Any, ClassVar, Final, Self, final
@@ -177,7 +178,7 @@ class GainsTable:
         plausible=(1e-5, 1.0),
     )
 
-    SCHEMA: ClassVar = {
+    SCHEMA: ClassVar[Mapping[str, object]] = {
         "anyOf": [{"required": [key]} for key in ("kp_a_rad", "kp_a_m", "bandwidth_rad_s")]
     }
 

@@ -95,8 +95,8 @@ class IdealHwMotor:
             IdealTrigger, lambda: IdealTrigger(runtime)
         )
         self.users = 0
-        self.is_closed = False
-        self.is_referenced = False
+        self.is_closed: bool = False
+        self.is_referenced: bool = False
         self.fault: Fault | None = None
         self.failure: MotorError | None = None
         self._last: Course | None = None  # of the last motion started, not of a stop

@@ -238,7 +238,7 @@ class IdealTable:
         above=True,
     )
 
-    SCHEMA: ClassVar = {
+    SCHEMA: ClassVar[Mapping[str, object]] = {
         "not": {
             "anyOf": [
                 {"required": ["position_rad", "position_m"]},

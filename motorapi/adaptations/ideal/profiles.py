@@ -198,7 +198,7 @@ class Led:
     ) -> None:
         self.begun_ns = begun_ns
         self.over_ns: int | None = None
-        self.place = now.position
+        self.place: float = now.position
         self._motion = motion
         self._demand = demand_of(motion)
         self._argument = argument

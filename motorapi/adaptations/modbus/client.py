@@ -13,8 +13,8 @@ do not end it: the late answer may still follow the answer to the posted request
 
 On TCP the transaction identifier distinguishes answers, and the bytes are a stream of ADUs, each
 read from its header. So half of a late answer does no harm. A connection that has ended, fails to
-send, ends within an ADU or leaves two requests in a row without an answer is made anew before the
-next request. No request is sent again on it.
+send, ends within an ADU or is silent for 2 s, more than most gateways wait for a unit, is made anew
+before the next request. No request is sent again on it.
 
 A line may never be silent, or another process may hold it. The wait for such a line is limited: a
 caller gets an error, and a posted request is sent anyway.
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Owned
 
 _HEAD: Final = 7  # of MBAP, with the unit
-_SILENT_MAX: Final = 2  # requests in a row, until a TCP connection counts as broken
+_SILENT_NS: Final = 2_000_000_000  # since an unanswered request: the TCP connection is broken
 _LENGTHS: Final = range(2, 255)  # in MBAP: of the unit and a PDU
 _HEARD_MAX: Final = 512  # bytes; more than any answer
 _LOCKED_NS: Final = 1_000_000
@@ -167,7 +167,7 @@ class FrameReader:
 
     def __init__(self) -> None:
         self.framer: Final = FramerRTU(DecodePDU(False))
-        self.heard = b""
+        self.heard: bytes = b""
 
     @property
     def is_inside(self) -> bool:
@@ -197,7 +197,7 @@ class StreamReader:
 
     def __init__(self) -> None:
         self.framer: Final = FramerSocket(DecodePDU(False))
-        self.heard = b""
+        self.heard: bytes = b""
         self._buffer = b""
 
     @property
@@ -291,8 +291,8 @@ class ModbusLine:
         self.line: Final = line
         self.runtime: Final = runtime
         self.name: Final = line.name
-        self.strays = 0
-        self.reconnections = 0
+        self.strays: int = 0
+        self.reconnections: int = 0
         self.users = 0
         self._lock = lock
         self._hold: LockHandle | None = None
@@ -300,7 +300,7 @@ class ModbusLine:
         self._reader = self._new_reader()
         self._reconnect: Final = getattr(line, "reconnect", None)
         self._is_broken = False
-        self._silent = 0  # requests in a row without any answer, on TCP
+        self._unanswered_ns = -1  # time of a request since which nothing was heard, on TCP
         self._queue: deque[Exchange] = deque()
         self._active: Exchange | None = None
         self._transaction = 0
@@ -418,7 +418,7 @@ class ModbusLine:
         self._registration.cancel()
         self._registration = self.line.listen(self._hear)
         self._reader = self._new_reader()
-        self._is_broken, self._silent = False, 0
+        self._is_broken, self._unanswered_ns = False, -1
         self.reconnections += 1
 
     def _send(self, exchange: Exchange, adu: bytes) -> None:
@@ -514,6 +514,7 @@ class ModbusLine:
             self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
         self._silent_ns = time_ns + self.line.silence_ns
+        self._unanswered_ns = -1
         exchange = self._active
         owed = self._owed[0] if len(self._owed) == 1 else None  # of several, their order is unknown
         answer = self._reader.feed(data, exchange or owed)
@@ -522,7 +523,6 @@ class ModbusLine:
             if answer is not None:  # the late answer: nothing else can come
                 self._leave_quarantine()
         elif answer is not None and answers(answer, exchange.request):
-            self._silent = 0
             self._end(exchange, answer, None)
         elif owed is not None and self._reader.feed(b"", owed) is not None:
             self.strays += 1  # the late answer, before that to the posted request
@@ -546,8 +546,11 @@ class ModbusLine:
                 last_heard="nothing",
             )
         if self._is_tcp:
-            self._silent += 1
-            self._is_broken = self._silent >= _SILENT_MAX or self._reader.is_inside
+            now_ns = self.runtime.now_ns()
+            if self._unanswered_ns < 0 and not heard:
+                self._unanswered_ns = now_ns - round(exchange.timeout_s * 1e9)
+            is_silent = 0 <= self._unanswered_ns <= now_ns - _SILENT_NS
+            self._is_broken = is_silent or self._reader.is_inside
         else:
             self._owed.append(exchange)
             self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS

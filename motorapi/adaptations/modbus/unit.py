@@ -92,9 +92,9 @@ class ModbusUnit:
         self.physical: Final = register_physical_motor(line, unit, self.label, hardware, lock)
         self._hardware = hardware
         self.line: Final = _open(line, runtime)
-        self.is_closed = False
-        self.silences = 0  # requests without answer; each may mean a loss of power
-        self.repeats = 0  # reads that were repeated
+        self.is_closed: bool = False
+        self.silences: int = 0  # requests without answer; each may mean a loss of power
+        self.repeats: int = 0  # reads that were repeated
         self._answers = False  # False: reads are not repeated until the drive answers
 
     def close(self) -> None:

@@ -1,5 +1,11 @@
 """Mistakes in homing, low-level access and closing."""
 
+from unittest.mock import patch
+
+from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
+from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
@@ -63,4 +69,38 @@ def each_close_counts():
         return closed
 
     with replaced(IdealMotor, "close", wrong):
+        yield
+
+
+@mutant("cia402", "HOME-03")
+def once_homed_is_homed_for_good():
+    """A drive that was homed once is referenced for good, but forgets its position at a restart."""
+
+    def wrong(reset):
+        def made(drive, whole, now_ns):
+            reset(drive, whole, now_ns)
+            drive.axis.set_position(0, drive.axis.count())
+
+        return made
+
+    known = property(lambda self: self._homed_at_boot is not None)
+    with patch.object(Cia402HwMotor, "is_homed", known), replaced(Cia402Drive, "on_reset", wrong):
+        yield
+
+
+@mutant("cia402", "LOW-03")
+def low_level_access_leaves_all_as_it_was():
+    """After low-level access all settings are believed; boot-ups meanwhile are not noticed."""
+
+    def wrong(heard):
+        def told(node, frame, time_ns):
+            if node.sdo.physical is None or node.sdo.physical.access is None:
+                heard(node, frame, time_ns)
+
+        return told
+
+    with (
+        replaced(CanopenNode, "_on_heartbeat", wrong),
+        replaced(Cia402Motor, "_close_low_level", lambda _: lambda motor: None),
+    ):
         yield

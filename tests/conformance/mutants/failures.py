@@ -1,10 +1,13 @@
 """Mistakes with faults, lost answers and silent drives."""
 
+from unittest.mock import patch
+
 from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus import client as modbus_client
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
-from motorhil.motorapi.errors import DeviceFault, LinkError, MotorError
+from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotorError
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -156,4 +159,48 @@ def once_lost_is_lost_for_good():
         return asked
 
     with replaced(ModbusUnit, "read", given_up):
+        yield
+
+
+@mutant("leadshine", "FAULT-06")
+def an_alarm_is_that_of_the_line():
+    """The last alarm on a line is reported by all drives on it."""
+    alarms = {}
+
+    def wrong(fault):
+        def found(self, is_set, names):
+            own = fault(self, is_set, names)
+            line = alarms.setdefault(id(self.runtime), {})
+            line[self] = own
+            return own or next((one for one in line.values() if one is not None), None)
+
+        return found
+
+    with replaced(LeadshineHwMotor, "_fault", wrong):
+        yield
+
+
+@mutant("leadshine", "HEAR-04")
+def reads_are_repeated_for_long():
+    """A read without an answer is repeated twenty times, whatever the deadline of the caller."""
+
+    def wrong(read):
+        def asked(self, *args):
+            for _ in range(19):
+                try:
+                    return read(self, *args)
+                except DeadlineExceeded:
+                    continue
+            return read(self, *args)
+
+        return asked
+
+    with replaced(ModbusUnit, "read", wrong):
+        yield
+
+
+@mutant("leadshine", "HEAR-05")
+def the_next_answer_is_the_answer():
+    """The next request is sent right after a timeout; the next answer of that length is its own."""
+    with patch.object(modbus_client, "_QUARANTINE_NS", 0):
         yield

@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 from motorhil.motorapi import Motor, MotorBusyError
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
@@ -182,4 +183,68 @@ def the_last_one_shuts_the_door_every_time():
         return closed
 
     with replaced(PolledMotor, "close", wrong):
+        yield
+
+
+@mutant("ideal", "SHARE-03")
+def a_halt_of_another_is_told_to_nobody():
+    """A halt of another user ends a motion as if it were done."""
+
+    def wrong(bring):
+        def brought(motor, operation, stop):
+            run = motor.physical.run
+            if operation == "halt" and run is not None and run.owner is not motor:
+                stop()
+                return
+            bring(motor, operation, stop)
+
+        return brought
+
+    with replaced(LogicalMotor, "bring_to_rest", wrong):
+        yield
+
+
+@mutant("oriental_az", "SHARE-08")
+def only_starts_need_the_motor():
+    """A user who has lost a motor cannot start it, but can switch it off."""
+
+    def wrong(operation):
+        @contextmanager
+        def made(motor, name, timeout_s=None):
+            if name == "disable":
+                yield
+                return
+            with operation(motor, name, timeout_s):
+                yield
+
+        return made
+
+    with replaced(LogicalMotor, "operation", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-12")
+def a_reservation_keeps_readers_away():
+    """Only the owner of a motor may read it."""
+
+    def wrong(read):
+        def told(motor):
+            held = motor.ownership.held
+            if held is not None and held.owner is not motor.logical:
+                raise MotorBusyError(motor=motor.name, holder=held.who, since_ns=held.since_ns)
+            return read(motor)
+
+        return told
+
+    with replaced(Cia402Motor, "_read_position", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-13")
+def requests_of_threads_are_mixed():
+    """Two threads use the SDO channel of a drive at once."""
+    with (
+        replaced(TurnLock, "take", lambda _: lambda *_args: None),
+        replaced(TurnLock, "give_back", lambda _: lambda *_args: None),
+    ):
         yield

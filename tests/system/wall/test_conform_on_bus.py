@@ -69,3 +69,20 @@ def test_missing_bus_of_a_motor_is_refused(tmp_path):
     )
     with pytest.raises(RigError, match="no place is given for bus can1; add --on can1=WHERE"):
         Target(Job("cia402", str(rig), on=("can0=vcan0",)))
+
+
+def test_conform_checks_a_foreign_drive_through_its_bus(tmp_path):
+    hub, found = tmp_path / "hub", tmp_path / "found.json"
+    names = ("PDS-01", "PP-02", "PDS-04")
+    clauses = [word for one in names for word in ("--clause", one)]
+    words = ("--controller", "drive", "--on", f"can0={hub}", "--json", str(found), *clauses)
+    done = motorhil(
+        *("serve", str(RIGS / "drive.toml"), "--socket", str(hub), "--"),
+        *(*MOTORHIL, "conform", *words, "-o", str(tmp_path / "records")),
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    document = json.loads(found.read_text())
+    results = {one["id"]: one["result"] for one in document["clauses"]}
+    assert results == dict.fromkeys(names, "passed")
+    assert document["claims"]["csp"] == ""
+    assert document["claims"]["vl"] == "6502h bit 1 is 0"

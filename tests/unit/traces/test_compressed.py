@@ -47,7 +47,7 @@ def test_compressed_recording_has_the_same_messages():
 
 def test_members_and_padding_are_one_content():
     with open("packed", "wb") as file:  # RFC 1952, 2.2: a series of members
-        file.write(gzip.compress(ROW) + gzip.compress(ROW * 2) + bytes(512))
+        file.write(gzip.compress(ROW, mtime=0) + gzip.compress(ROW * 2) + bytes(512))
     found, findings = read("packed")
     assert (len(found), findings.problems) == (3, [])
 
@@ -58,7 +58,7 @@ def test_members_and_padding_are_one_content():
 def test_damaged_data_is_read_up_to_the_damage(end, tail, words):
     rows = b"".join(b"(%d.0) can0 123#%04X\n" % (n, n * 40503 % 65536) for n in range(30_000))
     with open("packed", "wb") as file:
-        file.write(gzip.compress(rows)[:end] + tail)
+        file.write(gzip.compress(rows, mtime=0)[:end] + tail)
     found, findings = read("packed")
     assert len(found) > 29_000
     assert words in findings.problems[-1].text
@@ -71,8 +71,20 @@ def test_content_beyond_the_ratio_is_refused():
         for _ in range(64):
             file.write(packer.compress(bytes(1 << 20)))
         file.write(packer.flush())
-    with pytest.raises(TraceError, match="bomb: unpacks to more than 64 MB"):
-        read("bomb")
+    refusal = r"bomb: unpacks to more than \d+ bytes; --max-memory allows more"
+    with pytest.raises(TraceError, match=refusal):
+        list(open_source("bomb", 1 << 20).frames(Findings()))
+    assert len(list(open_source("bomb", 1 << 27).frames(Findings()))) == 1
+
+
+@pytest.mark.parametrize("size", [5, 12, 20])
+def test_data_cut_before_its_first_row_is_told(size):
+    with open("packed", "wb") as file:
+        file.write(gzip.compress(ROW * 100, mtime=0)[:size])
+    with pytest.raises(TraceError) as caught:
+        read("packed")
+    assert caught.value.what.startswith("its gzip data is cut short, ")
+    assert caught.value.remedy.startswith("copy the file again")
 
 
 def test_content_below_the_free_size_is_accepted():
@@ -94,6 +106,7 @@ def test_text_with_byte_order_mark_is_read(encoding):
     ("head", "what", "remedy"),
     [
         (b"", "is empty", "record again"),
+        (gzip.compress(b"", mtime=0), "is empty", "record again"),
         (bytes(100), "begins with 100 bytes of nothing", "record again"),
         (b"PK\x03\x04rest", "is a ZIP archive", "unzip it"),
         (b"(\xb5/\xfdrest", "is compressed by zstd", "unzstd"),

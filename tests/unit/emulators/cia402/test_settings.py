@@ -363,3 +363,11 @@ def test_object_missing_in_the_file_may_have_a_hidden_value(tmp_path):
     bench.boot()
     assert bench.write(0x60F2, 0, 0, 2) == 0x0602_0000
     assert new_drive(eds=str(eds), objects={"60C5h": 100}).od.integer(0x60C5, 0, 0) == 100
+
+
+def test_device_type_without_a_value_in_the_file_is_402(tmp_path):
+    text = OWN_EDS.read_text("utf-8").replace("DefaultValue=0x00020192\n", "", 1)
+    (tmp_path / "own.eds").write_text(text, "utf-8")
+    bench = Bench(folder=tmp_path, eds="own.eds")
+    bench.boot()
+    assert bench.read(0x1000, signed=False) == 0x0002_0192  # CiA 402-1, device type: servo drive

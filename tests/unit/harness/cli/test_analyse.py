@@ -28,6 +28,7 @@ from motorhil.traces.formats.frames import Frame
 from motorhil.traces.formats.registry import record_frames
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import CAN_FRAME, Direction, Schema, encode_can_frame
+from tests.support.golden import golden
 
 SCHEMA = json.loads((Path(harness.__file__).parent / "analyse.schema.json").read_text())
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -434,7 +435,7 @@ def test_absurd_stamps_end_with_a_note(tmp_path, capsys):
     """Each part of the analysis has a limit of steps; every fourth stamp is damaged."""
     draw = random.Random(3)
     rows = []
-    for n in range(3_000):
+    for n in range(12_000):
         at_ns = n * 100_000 if n % 4 else draw.randrange(10 ** draw.randrange(1, 19))
         rows.append(f"({at_ns // 10**9}.{at_ns % 10**9:09d}) can0 {draw.randrange(300):03X}#00\n")
     log = tmp_path / "damaged.log"
@@ -444,6 +445,21 @@ def test_absurd_stamps_end_with_a_note(tmp_path, capsys):
     assert status in (1, 3)
     (note,) = [note for note in bus["notes"] if "ended early" in note]
     assert "(steps): response times (1,000,000)" in note
+
+
+def test_margins_of_queues_are_found_within_the_limit(capsys):
+    """Two errors at this distance make no message late; at 3 us less, one is late."""
+    with golden("cia402") as path:
+        words = (str(path), "--bitrate", "can0=1M")
+        _, told = as_json(capsys, *words)
+        (bus,) = told["buses"]
+        assert not [note for note in bus["notes"] if "ended early" in note]
+        interval_s = bus["shortest_error_interval_s"]
+        status = {
+            more_s: as_json(capsys, *words, "--error-interval", f"{interval_s + more_s:.9f}")[0]
+            for more_s in (0, -3e-6)
+        }
+    assert status == {0: 0, -3e-6: 1}
 
 
 def test_effort_ends_an_analysis_without_false_bounds():

@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import resource
 import shlex
@@ -298,6 +299,24 @@ def test_closed_standard_streams_do_no_harm(rig):
         assert (done.returncode, done.stderr) == (0, "")
         done = subprocess.run([*command, "check", "x"], env=environment(), timeout=120)
         assert done.returncode == 2
+
+
+def test_results_without_a_reader_end_as_of_sigpipe(bench):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as pipe:
+        done = in_another_process("list", "examples", stdout=pipe)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_results_for_a_closed_stdout_are_told(bench):
+    command = ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-m", "motorhil"]
+    for words in (["list", "examples"], ["--help"]):
+        done = subprocess.run(
+            [*command, *words], env=environment(), capture_output=True, text=True, timeout=120
+        )
+        told = "motorhil: standard output is closed, and its results are lost; send it to a file"
+        assert (done.returncode, done.stderr) == (2, f"{told} or a pipe\n")
 
 
 @pytest.fixture

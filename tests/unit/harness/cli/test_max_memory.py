@@ -8,7 +8,11 @@ from motorhil.traces.formats.frames import Findings
 from motorhil.traces.formats.registry import Source
 
 MIB = 1 << 20
-VERBS = (["show"], ["judge"], ["report", "-o", "page.html"], ["convert", "-o", "a.log", "--force"])
+VERBS = (
+    *(["show"], ["judge"], ["report", "-o", "page.html"], ["convert", "-o", "a.log", "--force"]),
+    *(["diff", "big.mcap"], ["diff", "big.mcap", "--exact"], ["analyse"]),
+    ["replay", "--as", "traffic", "--on", "virtual:1"],
+)
 
 
 @pytest.fixture
@@ -24,13 +28,22 @@ def big(tmp_path, monkeypatch):
     return "big.mcap"
 
 
-@pytest.mark.parametrize("words", VERBS, ids=lambda words: words[0])
+@pytest.mark.parametrize("words", VERBS, ids=" ".join)
 def test_chunk_beyond_the_bound_names_the_option(big, words, capsys):
     assert main([words[0], big, *words[1:], "--max-memory", "2"]) == 2
     told = "at most 2097152 bytes are read at once; --max-memory allows more"
     assert told in capsys.readouterr().err
     main([words[0], big, *words[1:], "--max-memory", "4"])
     assert "--max-memory" not in capsys.readouterr().err
+
+
+def test_recovery_loses_a_chunk_beyond_the_bound(big, capsys):
+    words = ["recover", big, "-o", "whole.mcap", "--force", "--max-memory"]
+    assert main([*words, "2"]) == 0
+    assert "--max-memory allows more" in capsys.readouterr().err
+    assert main([*words, "4"]) == 0
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("whole.mcap: 1 messages in 0.000 s; nothing is lost\n", "")
 
 
 @pytest.mark.parametrize(("memory_max", "is_whole"), [(1 << 28, True), (1 << 16, False)])
@@ -48,4 +61,4 @@ def test_container_of_blf_beyond_the_bound_is_told(tmp_path, memory_max, is_whol
 @pytest.mark.parametrize("text", ["0", "1.5", "-1", "much"])
 def test_bound_that_is_not_a_size_is_refused(text, capsys):
     assert main(["show", "x", "--max-memory", text]) == 2
-    assert "--max-memory" in capsys.readouterr().err
+    assert "is not a whole number from 1 to 1048576 MiB" in capsys.readouterr().err

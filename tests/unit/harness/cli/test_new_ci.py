@@ -261,6 +261,8 @@ def test_own_jobs_run_every_supported_python():
     for job, key in ((".github/workflows/ci.yml", "python"), (".gitlab-ci.yml", "PYTHON_VERSION")):
         matrix = re.search(rf"{key}: (\[.*\])$", (CHECKOUT / job).read_text(), re.MULTILINE)[1]
         assert re.findall(r'"(.*?)"', matrix) == supported
+    page = (CHECKOUT / "docs/reference/supported.md").read_text()
+    assert f"| Python | {supported[0]} to {supported[-1]} |" in page
 
 
 def test_oldest_dependency_is_tested_and_the_newest_locked():

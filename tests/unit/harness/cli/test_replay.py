@@ -311,3 +311,11 @@ def test_missing_acknowledgement_is_told_at_once(tmp_path, capsys):
     first, last = capsys.readouterr().err.splitlines()
     assert first.startswith("motorhil replay: can0: error passive by sending; frames need another")
     assert "can0: has taken no frame for 2 s" in last
+
+
+def test_notes_name_the_file_of_the_user(folder, say):
+    Path("e.log").write_text("(1.0) can0 20000080#0000000000000000\n(1.1) can0 123#01\n")
+    words = ("replay", "e.log", "--as", "traffic", "--on", "virtual:named", "--speed", "max")
+    status, _, err = say(*words)
+    assert status == 0
+    assert err.splitlines()[-1] == "e.log: 1 error frames of can0 cannot be sent"

@@ -51,16 +51,20 @@ def test_traceback_begins_at_script(rig, say):
     (rig / "script.py").write_text("import helper\n\nhelper.divide(1, 0)\n")
     status, out, err = say("run", "rig.toml", "script.py", "-o", "x.mcap", "--", "a b")
     assert (status, out) == (1, "")
-    assert err == (
-        "Traceback (most recent call last):\n"
-        '  File "script.py", line 3, in <module>\n'
-        "    helper.divide(1, 0)\n"
-        f'  File "{rig}/helper.py", line 2, in divide\n'
-        "    return a / b\n"
-        "           ~~^~~\n"
-        "ZeroDivisionError: division by zero\n"
-        "again: motorhil run rig.toml script.py --seed 7 -o x.mcap -- 'a b'\n"
-    )
+    assert without_marks(err) == [
+        "Traceback (most recent call last):",
+        '  File "script.py", line 3, in <module>',
+        "    helper.divide(1, 0)",
+        f'  File "{rig}/helper.py", line 2, in divide',
+        "    return a / b",
+        "ZeroDivisionError: division by zero",
+        "again: motorhil run rig.toml script.py --seed 7 -o x.mcap -- 'a b'",
+    ]
+
+
+def without_marks(traceback):
+    """Return the lines except those that mark columns, which depend on the version of Python."""
+    return [line for line in traceback.splitlines() if line.strip(" ~^")]
 
 
 def test_traceback_ends_before_motor_interface(rig, say):
@@ -70,12 +74,13 @@ def test_traceback_ends_before_motor_interface(rig, say):
     )
     status, _, err = say("run", "rig.toml", "script.py")
     assert status == 1
-    assert err.splitlines()[:3] == [
+    *places, problem, _ = without_marks(err)
+    assert places == [
         "Traceback (most recent call last):",
         '  File "script.py", line 4, in <module>',
         "    runtime_of(bus).wait_until(lambda: False, -1.0)",
     ]
-    assert err.splitlines()[3].startswith("motorhil.motorapi.errors.UsageError: timeout_s = -1.0")
+    assert problem.startswith("motorhil.motorapi.errors.UsageError: timeout_s = -1.0")
 
 
 def test_unhandled_error_of_party_fails_script(rig, say):

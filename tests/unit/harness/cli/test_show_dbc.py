@@ -90,7 +90,8 @@ def test_unusable_dbc_is_one_line(recording, say, cantools):
     assert err.startswith("bad.dbc: is not a usable DBC: ")
     assert err.count("\n") == 1
     status, _, err = say("show", recording, "--dbc", "missing.dbc")
-    assert (status, err) == (2, "missing.dbc: cannot be read: no such file or directory\n")
+    told = "missing.dbc: cannot be read: no such file or directory; check the name\n"
+    assert (status, err) == (2, told)
 
 
 def test_missing_cantools_is_explained(recording, say, monkeypatch):

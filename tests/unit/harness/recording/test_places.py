@@ -3,6 +3,7 @@ import pytest
 
 from motorhil.harness.python_can.messages import to_message
 from motorhil.harness.recording.sources import (
+    BusDownError,
     HubClocks,
     Kind,
     Place,
@@ -105,6 +106,23 @@ def tap():
     tap = PythonCanTap(parse_place("virtual:places"), {})
     yield tap
     tap.close()
+
+
+@pytest.mark.parametrize("stamp", [float("inf"), float("nan"), -1.0, 1e300])
+def test_stamp_that_is_not_a_time_is_told_once(tap, stamp):
+    with can.Bus(interface="virtual", channel="places", preserve_timestamps=True) as bus:
+        for number in range(3):
+            bus.send(can.Message(arbitration_id=number, timestamp=stamp))
+    found, problems = [], []
+    while len(found) < 3 or not problems:
+        try:
+            found += tap.read(NOW_S * 10**9)
+        except BusDownError as problem:
+            problems.append(str(problem))
+    assert [time_ns for _, time_ns, _ in found] == [NOW_S * 10**9] * 3
+    told = f"virtual:places: a frame has the stamp {stamp:g} s; such frames get this computer's"
+    assert problems == [f"{told} time"]
+    assert tap.read(NOW_S * 10**9) == []  # not again
 
 
 @pytest.mark.parametrize(

@@ -253,3 +253,26 @@ def test_recover_impossible_request_is_refused(tmp_path):
         recover(str(source), str(tmp_path / "no" / "b.mcap"))
     assert target.read_text() == "precious"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "x"]
+
+
+@pytest.mark.parametrize("name", [b"a.Name", b"/topic"])
+def test_string_beyond_its_record_costs_only_that_record(tmp_path, name):
+    """Another writer's chunk without compression and check sum holds the damaged record."""
+    file = io.BytesIO()
+    writer = Writer(file, compression=CompressionType.NONE, enable_crcs=False, use_chunking=True)
+    writer.start()
+    schema = writer.register_schema("a.Name", "protobuf", bytes(8))
+    channel = writer.register_channel("/topic", "protobuf", schema)
+    for number in range(5):
+        writer.add_message(channel, number, bytes([number]), number)
+    writer.finish()
+    data = bytearray(file.getvalue())
+    at = data.index(name) - 4
+    data[at : at + 4] = b"\xff\xff\xff\xff"
+    (tmp_path / "a.mcap").write_bytes(data)
+    done = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert done.messages == 5
+    assert "a part of a chunk's content (the fields of a" in str(done.losses[0])
+    assert [payload for *_, payload in read((tmp_path / "b.mcap").read_bytes())] == [
+        bytes([number]) for number in range(5)
+    ]

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 import zlib
 from collections import Counter
 
@@ -82,12 +83,14 @@ def test_summary_describes_file(tmp_path):
     ]
 
 
-def test_every_index_points_at_its_record(tmp_path):
+@pytest.mark.parametrize("seconds", [20, 600])
+def test_every_index_points_at_its_record(tmp_path, seconds):
     path = tmp_path / "a.mcap"
-    recording = write(path)
+    recording = write(path, 2 * seconds, 500 * MS)
     data = path.read_bytes()
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) == seconds
     ends = 0
     for index in summary.chunk_indexes:
         assert data[index.chunk_start_offset] == 0x06
@@ -99,6 +102,18 @@ def test_every_index_points_at_its_record(tmp_path):
         index.uncompressed_size for index in summary.chunk_indexes
     ]
     assert recording.writer.error is None
+
+
+def test_an_hour_of_recording_takes_little_memory(tmp_path):
+    recording = Recording(tmp_path / "a.mcap").fill(512, SECOND)
+    tracemalloc.start()
+    try:
+        for second in range(512, 512 + 3600):
+            recording.writer.can_frame(second % 3, second * SECOND, counted_frame(second))
+        assert tracemalloc.get_traced_memory()[0] < 3600 * 64
+    finally:
+        tracemalloc.stop()
+    recording.writer.close()
 
 
 def test_all_crcs_are_present_and_correct(tmp_path):

@@ -1,5 +1,7 @@
 """Effects of faults on the traffic of a bus."""
 
+import random
+
 import pytest
 
 from motorhil.emulators.can.bus.bus import CanBus
@@ -202,3 +204,39 @@ def test_bus_without_plan_refuses_rules():
         bus.lift("x", 0)
     assert bus.take_fault_events() == []
     assert bus.faults_fired() == {}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bus_with_ended_rules_is_one_without_faults(seed):
+    """A rule that never hits keeps the faults possible, and must change nothing."""
+    never = FaultRule("never", FaultKind.DROP, identifier=0x7FF)
+    seen = []
+    for more in ([], [never]):
+        draw = random.Random(seed)
+        kinds = (FaultKind.DROP, FaultKind.DUPLICATE, FaultKind.ERROR, FaultKind.CORRUPT)
+        more_of = {FaultKind.ERROR: {"bit": 20}, FaultKind.CORRUPT: {"flip": b"\x01"}}
+        rules = [
+            FaultRule(
+                *(kind.value, kind),
+                limit=draw.randrange(1, 3),
+                until_ns=draw.randrange(1, 4000) * BIT,
+                **more_of.get(kind, {}),
+            )
+            for kind in kinds
+        ]
+        late = FaultRule("late", FaultKind.DELAY, delay_ns=150 * BIT, until_ns=2000 * BIT)
+        bus = bus_with(*rules, late, *more)
+        traffic = [
+            (
+                draw.randrange(8000) * BIT,
+                draw.choice((HOST, LEFT, RIGHT)),
+                pack(can_id, b"\x55" * 4),
+            )
+            for can_id in draw.sample(range(0x700), 60)
+        ]
+        deliveries = run(bus, sorted(traffic, key=lambda one: one[0]))
+        seen.append((deliveries, bus.faults_fired(), bus.statistics.bits, bus.take_fault_events()))
+        assert bus.deadline_ns() < 0
+    seen[1][1].pop("never")
+    assert seen[0] == seen[1]
+    assert sum(seen[0][1].values()) >= 3

@@ -210,3 +210,29 @@ def test_removed_rule_hits_nothing_and_keeps_count():
     assert plan.fired() == {"one": 1}
     with pytest.raises(ValueError, match="fault one: unknown rule"):
         plan.remove("one")
+
+
+@pytest.mark.parametrize(
+    ("rule", "end_ns"),
+    [
+        (FaultRule("once", DROP, limit=1), 5),
+        (FaultRule("until", DROP, until_ns=20), 20),
+        (FaultRule("error", FaultKind.ERROR, until_ns=20, bit=3), 20),
+    ],
+    ids=lambda value: value.name if isinstance(value, FaultRule) else "",
+)
+def test_ended_rule_leaves_an_empty_plan_and_can_be_lifted(rule, end_ns):
+    plan = FaultPlan([rule, FaultRule("longer", DROP, sender="host", until_ns=30)], _no_draw)
+    plan.verdict(pack(1), "left", 5)
+    assert not plan.end_rules(end_ns - 1)
+    assert plan.end_rules(end_ns)
+    assert not plan.end_rules(end_ns)
+    assert not plan.is_empty()
+    assert plan.end_rules(30)
+    assert plan.is_empty()
+    assert plan.fired() == {rule.name: int(rule.kind is DROP), "longer": 0}
+    plan.remove(rule.name)
+    with pytest.raises(ValueError, match="unknown rule"):
+        plan.remove(rule.name)
+    with pytest.raises(ValueError, match="name already used"):
+        plan.add(rule)

@@ -125,3 +125,17 @@ def test_change_from_pv_to_pp_stops_the_motor(bench):
     assert bench.read(0x6061) == 1
     assert bench.truth("velocity_rad_s") == pytest.approx(0.0, abs=1e-3)
     assert bench.statusword() & TARGET_REACHED
+
+
+def test_bit_12_is_cleared_after_the_threshold_time(bench):
+    """606Fh: exceeded for longer than 6070h, it clears bit 12; below it, the bit is set."""
+    bench.set(0x6070, 0, 200, 2)
+    ask(bench, 40_000)
+    bench.run(150 * MS)
+    assert bench.read(0x606C) > bench.read(0x606F, signed=False)
+    assert bench.statusword() & SPEED_IS_ZERO
+    bench.run(100 * MS)
+    assert not bench.statusword() & SPEED_IS_ZERO
+    ask(bench, 0)
+    bench.run(110 * MS)
+    assert bench.statusword() & SPEED_IS_ZERO  # at once, not 200 ms later

@@ -125,6 +125,37 @@ def test_wrong_file_is_refused_with_the_reason(config, text, message):
     assert message in str(refused.value)
 
 
+@pytest.mark.parametrize("is_list", [False, True])
+def test_every_mistake_is_told_with_its_line(config, capsys, is_list):
+    dash = "- " if is_list else "  "
+    text = f"""master:
+  node_id: 1
+  sync_period: often
+defaults:
+  dcf: drive.eds
+nodes:
+{dash}left:
+    node_id: two
+{dash}right:
+    dcf: none.eds
+    node_id: 3
+{dash}front:
+    node_id: 1
+{dash}rear:
+    node_id: 4
+"""
+    (config / "bus.yml").write_text(text)
+    assert main(["new", str(config / "rig"), "--from", str(config / "bus.yml")]) == 2
+    told = capsys.readouterr().err.replace(f"{config}/", "")
+    assert told.splitlines() == [
+        "bus.yml:3: master: sync_period is 'often'; expected a whole number; correct it",
+        "bus.yml:8: left: node_id is 'two'; expected a whole number; correct it",
+        "bus.yml:10: right: none.eds: cannot be read: No such file or directory; check dcf",
+        "bus.yml:13: front: node-ID 1 is also that of the master; give each a node-ID of its own",
+    ]
+    assert not (config / "rig").exists()
+
+
 def test_missing_pyyaml_is_named_with_its_extra(config, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "yaml", None)
     (config / "bus.yml").write_text(BUS)

@@ -278,7 +278,7 @@ def unplug(line):
         (unplug, [LinkError]),
         (lambda line: line.hear(tcp(1, b"\x03\x02\x00\x07")[:5]), [ModbusProtocolViolation]),
         (lambda line: line.hear(tcp(1, b"\x03\x02\x00\x07")[:9]), [ModbusProtocolViolation]),
-        (lambda line: None, [DeadlineExceeded, DeadlineExceeded]),
+        (lambda line: None, [DeadlineExceeded] * 10),  # 2 s
     ],
     ids=["ended", "cannot send", "half a header", "half an answer", "silent"],
 )
@@ -298,6 +298,24 @@ def test_broken_tcp_connection_is_replaced(runtime, trouble, errors):
     assert [read(line), read(line)] == [[7], [7]]
     assert (connection.connections, line.reconnections) == (2, 1)
     assert len(connection.sent) == len(errors) + 2  # no request twice
+
+
+def test_late_answer_shows_that_a_connection_is_not_broken(runtime):
+    """As of a gateway that waits for its unit longer than we do."""
+
+    def answer(line, number):
+        if number <= 12:
+            line.hear_after(1.0, tcp(number, b"\x83\x0b"))
+        else:
+            line.hear(tcp(number, b"\x03\x02\x00\x07"))
+
+    connection = Connection(runtime, "tcp", answer)
+    line = ModbusLine(connection, runtime, None)
+    for _ in range(12):
+        with pytest.raises(DeadlineExceeded):
+            read(line)
+    assert read(line) == [7]
+    assert connection.connections == 1
 
 
 def test_refused_connection_raises_link_error_and_sends_nothing(runtime):

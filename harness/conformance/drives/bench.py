@@ -1,0 +1,178 @@
+"""Benches with one drive: an emulated rig in virtual time, or a bus in wall time."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, Self, final
+
+from motorhil.harness.conformance.bench import Ability
+from motorhil.harness.conformance.drives.client import Client
+from motorhil.harness.conformance.drives.drive import Drive
+from motorhil.harness.conformance.rig_bench import TimeIsUp
+from motorhil.harness.conformance.wall_bench import bus_at, record_bus
+from motorhil.harness.rig.config.conformance import Facts
+from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
+from motorhil.traces.mcap.writer import TraceWriter
+
+if TYPE_CHECKING:
+    from motorhil.motorapi import Motor
+    from motorhil.motorapi.runtime.api import Runtime
+
+
+class DriveBench(Protocol):
+    """A bench with one drive, switched on.
+
+    Attributes:
+        drive: the drive under test, which answers SDO requests.
+        is_real: True if the drive exists: clauses then make no jumps.
+    """
+
+    drive: Drive
+    is_real: bool
+
+    def fail(self) -> int | None:
+        """Cause a short fault in the drive; return its error code, or None if it cannot."""
+
+
+class _Bench:
+    """The part that both benches share."""
+
+    is_real = False
+    abilities: Sequence[Ability] = ()
+    motors: "Sequence[Motor]" = ()
+
+    def __init__(self, description: RigDescription, seed: int) -> None:
+        self.facts: Facts = description.conformance
+        self.seed = seed
+
+    def _meet(self, cleanup: ExitStack, client: Client, controller: ControllerDescription) -> Drive:
+        cleanup.callback(client.close)
+        units = controller.settings.get("units", {})
+        stated = units if isinstance(units, Mapping) else {}
+        drive = Drive(client, node_of(controller), stated)
+        drive.boot()
+        return drive
+
+
+@final
+class EmulatedBench(_Bench):
+    """An open rig with the drive under test; a context manager that closes it.
+
+    Args:
+        description: the rig.
+        controller: the name of the drive.
+        seed: the seed of all random numbers.
+        record: an MCAP file for all events.
+        limit_s: the time limit in the rig's time, after which `TimeIsUp` ends all waits [s].
+    """
+
+    def __init__(
+        self,
+        description: RigDescription,
+        controller: str,
+        seed: int,
+        *,
+        record: Path | None = None,
+        limit_s: float = 300.0,
+    ) -> None:
+        super().__init__(description, seed)
+        self._limit_s = limit_s
+        self._name = controller
+        described = description.controllers[controller]
+        with ExitStack() as cleanup:
+            self._rig = cleanup.enter_context(Rig(description, seed=seed, record=record))
+            self.runtime: Runtime = self._rig.runtime
+            self._rig.world.queue.alarm(self._time_is_up).set(round(limit_s * 1e9))
+            client = Client(self._rig.bus(described.bus), self.runtime, node_of(described))
+            self.drive = self._meet(cleanup, client, described)
+            self._cleanup = cleanup.pop_all()
+
+    def _time_is_up(self, now_ns: int) -> None:
+        raise TimeIsUp(f"still waiting after {self._limit_s:g} s of the rig's time")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cleanup.close()
+
+    def fail(self) -> int | None:
+        """Cause the fault that the rig's `[conformance]` table states."""
+        facts = self.facts
+        value = facts.fault_code if facts.fault_value is None else facts.fault_value
+        controller = self._rig.controllers[self._name]
+        try:
+            controller.stimulate(facts.fault_stimulus, value)
+        except ValueError:
+            return None
+        if facts.fault_over_value is not None:
+            self.drive.quiet()
+            controller.stimulate(facts.fault_stimulus, facts.fault_over_value)
+        return facts.fault_code
+
+
+@final
+class RealBench(_Bench):
+    """A drive on a bus in wall time; a context manager that leaves it switched off.
+
+    Args:
+        description: the rig, which names the drive, its bus and its node-ID.
+        controller: the name of the drive.
+        where: the place of its bus.
+        seed: the seed of all random numbers.
+        record: an MCAP file for all frames.
+
+    Raises:
+        RigError: the bus cannot be opened.
+    """
+
+    is_real = True
+
+    def __init__(
+        self,
+        description: RigDescription,
+        controller: str,
+        where: str,
+        seed: int,
+        *,
+        record: Path | None = None,
+    ) -> None:
+        super().__init__(description, seed)
+        described = description.controllers[controller]
+        with ExitStack() as cleanup:
+            bus = bus_at(described.bus, where)
+            cleanup.callback(bus.shutdown)
+            cleanup.callback(close_process_runtime)
+            self.runtime: Runtime = process_runtime()
+            if record is not None:
+                writer = cleanup.enter_context(TraceWriter(record))
+                record_bus(writer, process_runtime(), described.bus, bus)
+            client = Client(bus, self.runtime, node_of(described))
+            self.drive = self._meet(cleanup, client, described)
+            cleanup.callback(self.drive.leave)
+            self._cleanup = cleanup.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cleanup.close()
+
+    def fail(self) -> int | None:
+        """Return None: a real drive has no stimuli."""
+        return None
+
+
+def node_of(controller: ControllerDescription) -> int:
+    """Return the node-ID of a controller.
+
+    Raises:
+        RigError: its kind has none.
+    """
+    if controller.node_id is None:
+        problem = "has no node-ID: it is not a CANopen drive"
+        raise RigError(f"controller {controller.name}", problem, "name another")
+    return controller.node_id

@@ -1,0 +1,1 @@
+"""The clauses for drives, one module for each topic."""

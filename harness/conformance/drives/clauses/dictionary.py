@@ -1,0 +1,153 @@
+"""Object dictionary: mandatory objects, SDO abort codes, modes, parameter storage."""
+
+import struct
+from typing import Final
+
+from motorhil.harness.conformance.clause import Level, NotApplicable
+from motorhil.harness.conformance.drives import objects as od
+from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.kit import drive_clause
+from motorhil.harness.conformance.drives.objects import Mode
+
+_CIA_301: Final = "CiA 301, 7.2.4.3.17, SDO abort codes"
+_PROFILE: Final = 402
+_UNUSED_INDEX: Final = 0x5FFE  # manufacturer-specific; a drive that has it is asked for another
+_UNUSED_INDICES: Final = (_UNUSED_INDEX, 0x5FFA, 0x4FF7, 0x2FFB)
+_SAVE: Final = int.from_bytes(b"save", "little")
+_LOAD: Final = int.from_bytes(b"load", "little")
+_NO_OBJECT: Final = 0x0602_0000
+_NO_SUBINDEX: Final = 0x0609_0011
+_READ_ONLY: Final = (0x0601_0002, 0x0601_0000)
+_LENGTHS: Final = (0x0607_0010, 0x0607_0012, 0x0607_0013)
+_VALUES: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0609_0036, 0x0800_0000, 0x0800_0020)
+
+
+def _codes(codes: tuple[int, ...]) -> str:
+    return " or ".join(f"{code:08X}h" for code in codes)
+
+
+@drive_clause("OD-01", Level.L0, source="CiA 301, 7.5.2.1 to 7.5.2.19; CiA 402-1, device type")
+def mandatory_objects(bench: DriveBench) -> None:
+    """1000h says profile 402; 1001h, 1018h:1, 6040h and 6041h can be read."""
+    drive = bench.drive
+    kind = drive.read(od.DEVICE_TYPE)
+    drive.expect(
+        kind & 0xFFFF == _PROFILE,
+        f"{od.DEVICE_TYPE}",
+        f"profile {_PROFILE} in the lower 16 bits",
+        f"{kind & 0xFFFF}",
+        "not a drive profile, or a wrong 1000h",
+    )
+    for entry in (od.ERROR_REGISTER, od.VENDOR, od.CONTROLWORD, od.STATUSWORD):
+        drive.read(entry)
+
+
+@drive_clause("OD-02", Level.L0, source=_CIA_301)
+def unknown_objects(bench: DriveBench) -> None:
+    """An object that does not exist is refused with 0602 0000h, a sub-index with 0609 0011h."""
+    drive = bench.drive
+    seen = [drive.refusal(index, 0) for index in _UNUSED_INDICES]
+    absent = [code for code in seen if code]
+    drive.expect(
+        bool(absent) and all(code == _NO_OBJECT for code in absent),
+        f"upload of {_UNUSED_INDEX:04X}h",
+        f"{_NO_OBJECT:08X}h",
+        _codes(tuple(seen)),
+        "another abort code",
+    )
+    code = drive.refusal(0x1018, 0x7F)
+    expected = f"{_NO_SUBINDEX:08X}h"
+    drive.expect(code == _NO_SUBINDEX, "upload of 1018h:7F", expected, f"{code:08X}h")
+
+
+@drive_clause("OD-03", Level.L0, source=_CIA_301)
+def read_only_objects(bench: DriveBench) -> None:
+    """A download to a read-only object is refused with 0601 0002h, and changes nothing."""
+    drive = bench.drive
+    before = drive.read(od.VENDOR)
+    for entry in (od.VENDOR, od.STATUSWORD):
+        data = bytes(struct.calcsize(entry.code))
+        code = drive.refusal(entry.index, entry.subindex, data)
+        drive.expect(
+            code in _READ_ONLY,
+            f"download to {entry}",
+            _codes(_READ_ONLY),
+            f"{code:08X}h" if code else "accepted",
+            "access rights are not checked",
+        )
+    drive.expect(drive.read(od.VENDOR) == before, f"{od.VENDOR}", f"{before:X}h", "another value")
+
+
+@drive_clause("OD-04", Level.L0, source=_CIA_301)
+def wrong_lengths(bench: DriveBench) -> None:
+    """A download with too many or too few bytes is refused with 0607 001xh."""
+    drive = bench.drive
+    for data in (b"\x01\x02\x03", b"\x01"):
+        code = drive.refusal(od.CONTROLWORD.index, 0, data)
+        drive.expect(
+            code in _LENGTHS,
+            f"download of {len(data)} bytes to {od.CONTROLWORD}",
+            _codes(_LENGTHS),
+            f"{code:08X}h" if code else "accepted",
+            "the length is not checked",
+        )
+
+
+@drive_clause("OD-05", Level.L0, source="CiA 402-2, modes of operation 6060h, 6061h, 6502h")
+def modes_agree(bench: DriveBench) -> None:
+    """Each mode in 6502h can be selected, and 6061h shows it; no other standard mode can."""
+    drive = bench.drive
+    drive.require(od.SUPPORTED_MODES, od.MODE, od.MODE_DISPLAY)
+    claimed = [mode for mode in Mode if drive.has_mode(mode)]
+    if not claimed:
+        raise NotApplicable("6502h claims no mode")
+    for mode in claimed:
+        drive.select(mode)
+    last = claimed[-1]
+    for mode in Mode:
+        if mode in claimed:
+            continue
+        code = drive.refusal(od.MODE.index, 0, bytes((mode,)))
+        drive.quiet()
+        shown = drive.read(od.MODE_DISPLAY)
+        drive.expect(
+            shown == last and (not code or code in _VALUES),
+            f"6060h = {mode.value} ({mode}), which 6502h does not claim",
+            f"{_codes(_VALUES[:3])}, or ignored; 6061h = {last.value}",
+            f"{code:08X}h; 6061h = {shown}",
+            "6502h lacks a mode, or modes are not checked",
+        )
+
+
+@drive_clause("OD-06", Level.L1, source="CiA 301, 7.5.2.13 and 7.5.2.14, 1010h and 1011h")
+def parameters_are_stored(bench: DriveBench) -> None:
+    """1010h stores with the signature "save" only; 1011h restores defaults at the next reset."""
+    drive = bench.drive
+    drive.require(od.STORE_ALL, od.RESTORE_ALL, od.PROFILE_VELOCITY)
+    entry = od.PROFILE_VELOCITY
+    default = drive.read(entry)
+    for store in (od.STORE_ALL, od.RESTORE_ALL):
+        code = drive.refusal(store.index, store.subindex, b"evas")
+        seen = f"{code:08X}h" if code else "accepted"
+        drive.expect(code >> 16 == 0x0800, f'signature "evas" to {store}', "0800 002xh", seen)
+    drive.write(entry, default + 1)
+    drive.write(od.STORE_ALL, _SAVE)
+    _reset(bench)
+    stored = drive.read(entry)
+    expected = f"{default + 1}, which was stored"
+    drive.expect(stored == default + 1, f"{entry} after reset", expected, f"{stored}", "not stored")
+    drive.write(od.RESTORE_ALL, _LOAD)
+    kept = drive.read(entry)
+    expected = f"{default + 1} until the reset"
+    drive.expect(kept == default + 1, f"{entry} after 1011h", expected, f"{kept}")
+    _reset(bench)
+    restored = drive.read(entry)
+    drive.expect(restored == default, f"{entry} after reset", f"{default}", f"{restored}")
+
+
+def _reset(bench: DriveBench) -> None:
+    drive = bench.drive
+    drive.quiet(0.1)
+    drive.client.node.nmt.send_command(0x81)
+    drive.quiet(0.1)
+    drive.boot()

@@ -1,0 +1,146 @@
+"""CANopen services: boot-up, NMT, heartbeat in both directions."""
+
+from typing import Final
+
+from motorhil.harness.conformance.clause import Level, NotApplicable
+from motorhil.harness.conformance.drives import objects as od
+from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.drive import BOOT_S, Drive
+from motorhil.harness.conformance.drives.kit import drive_clause
+from motorhil.harness.conformance.drives.objects import Mode, State
+
+START: Final = 0x01
+STOP: Final = 0x02
+PRE_OPERATIONAL: Final = 0x80
+RESET_NODE: Final = 0x81
+RESET_COMMUNICATION: Final = 0x82
+_NAMES: Final = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+_PERIOD_MS: Final = 200
+_HOST: Final = 0x7C  # a node-ID that no other node of a bench uses
+_CONSUMER_MS: Final = 200
+
+
+def _heartbeat_id(drive: Drive) -> int:
+    return 0x700 + drive.node_id
+
+
+@drive_clause("NMT-01", Level.L0, source="CiA 301, 7.2.8.3.3, boot-up; 7.2.8.3.2.2, node states")
+def boot_up(bench: DriveBench) -> None:
+    """After reset node and reset communication the drive sends one boot-up, and answers."""
+    drive = bench.drive
+    for command in (RESET_NODE, RESET_COMMUNICATION):
+        begin_ns = drive.now_ns
+        drive.client.node.nmt.send_command(command)
+
+        def booted(since_ns: int = begin_ns) -> bool:
+            heard = drive.client.heard(_heartbeat_id(drive), since_ns)
+            return any(one.data == b"\0" for one in heard)
+
+        drive.client.wait_for(booted, BOOT_S)
+        heard = drive.client.heard(_heartbeat_id(drive), begin_ns)
+        drive.expect(
+            booted() and heard[0].data == b"\0",
+            f"NMT {command:02X}h",
+            f"{_heartbeat_id(drive):03X}h [00] within {BOOT_S:g} s",
+            ", ".join(one.data.hex() for one in heard) or "nothing",
+            "no boot-up message",
+        )
+        drive.boot()
+        word = drive.state()
+        expected = "switch on disabled after a reset, with or without a fault before"
+        if command == RESET_NODE:
+            drive.await_state(State.SWITCH_ON_DISABLED, "reset node", expected)
+        again = [
+            one for one in drive.client.heard(_heartbeat_id(drive), begin_ns) if one.data == b"\0"
+        ]
+        drive.expect(
+            len(again) == 1, f"NMT {command:02X}h", "one boot-up message", f"{len(again)} ({word})"
+        )
+
+
+@drive_clause("NMT-02", Level.L0, source="CiA 301, 7.2.8.3.2, NMT state machine; 7.2.8.3.1")
+def nmt_states(bench: DriveBench) -> None:
+    """NMT commands change the state in the heartbeat; a stopped node answers no SDO request."""
+    drive = bench.drive
+    drive.require(od.HEARTBEAT_PRODUCER)
+    drive.write(od.HEARTBEAT_PRODUCER, _PERIOD_MS)
+    for command, state in ((START, 0x05), (STOP, 0x04), (PRE_OPERATIONAL, 0x7F), (START, 0x05)):
+        drive.client.node.nmt.send_command(command)
+        drive.quiet(_PERIOD_MS / 1e3)  # a heartbeat may be on its way
+        since_ns = drive.now_ns
+        drive.quiet(2.0 * _PERIOD_MS / 1e3)
+        heard = drive.client.heard(_heartbeat_id(drive), since_ns)
+        seen = ", ".join(one.data.hex() for one in heard) or "no heartbeat"
+        drive.expect(
+            bool(heard)
+            and all(len(one.data) == 1 and one.data[0] & 0x7F == state for one in heard),
+            f"NMT {command:02X}h",
+            f"heartbeats {state:02X}h ({_NAMES[state]})",
+            seen,
+            "the NMT command is ignored, or the heartbeat shows another state",
+        )
+        if state == 0x04:
+            drive.client.send_message(
+                0x600 + drive.node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+            )
+            drive.quiet(0.1)
+            answers = drive.client.heard(0x580 + drive.node_id, since_ns)
+            seen = ", ".join(one.data.hex(" ") for one in answers)
+            drive.expect(not answers, "SDO request in stopped", "no answer", seen)
+
+
+@drive_clause("NMT-03", Level.L0, source="CiA 301, 7.5.2.16, producer heartbeat time 1017h")
+def heartbeat_period(bench: DriveBench) -> None:
+    """The heartbeat has the period of 1017h, and 0 switches it off."""
+    drive = bench.drive
+    drive.require(od.HEARTBEAT_PRODUCER)
+    drive.write(od.HEARTBEAT_PRODUCER, _PERIOD_MS)
+    drive.quiet(_PERIOD_MS / 1e3)
+    begin_ns = drive.now_ns
+    drive.quiet(10.0 * _PERIOD_MS / 1e3)
+    times = [one.time_ns / 1e6 for one in drive.client.heard(_heartbeat_id(drive), begin_ns)]
+    mean_ms = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
+    drive.expect(
+        0.75 * _PERIOD_MS <= mean_ms <= 1.25 * _PERIOD_MS,
+        f"1017h = {_PERIOD_MS}",
+        f"a mean period of {_PERIOD_MS} ms +- 25 % (consumers allow for delays)",
+        f"{len(times)} heartbeats, {mean_ms:.1f} ms",
+        "the unit is not 1 ms, or the object has no effect",
+    )
+    drive.write(od.HEARTBEAT_PRODUCER, 0)
+    drive.quiet(_PERIOD_MS / 1e3)
+    begin_ns = drive.now_ns
+    drive.quiet(3.0 * _PERIOD_MS / 1e3)
+    left = len(drive.client.heard(_heartbeat_id(drive), begin_ns))
+    drive.expect(left == 0, "1017h = 0", "no heartbeat", f"{left} in {0.6:g} s")
+
+
+@drive_clause("NMT-04", Level.L5, source="CiA 301, 7.5.2.15, 1016h; CiA 402-2, 6007h")
+def host_lost(bench: DriveBench) -> None:
+    """A lost heartbeat of the host (1016h) sends EMCY 8130h, and 6007h decides the reaction."""
+    drive = bench.drive
+    drive.require(od.HEARTBEAT_CONSUMER, od.ABORT_CONNECTION)
+    mode = next((one for one in (Mode.PP, Mode.PV, Mode.CSP) if drive.has_mode(one)), None)
+    if mode is None:
+        raise NotApplicable("6502h claims none of pp, pv, csp")
+    for option, state in (
+        (1, State.FAULT),
+        (2, State.SWITCH_ON_DISABLED),
+        (0, State.OPERATION_ENABLED),
+    ):
+        drive.set(od.ABORT_CONNECTION, option)
+        drive.enable(mode)
+        drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
+        drive.client.send(0x700 + _HOST, b"\x05")
+        begin_ns = drive.now_ns
+        drive.quiet(_CONSUMER_MS / 2e3)
+        early = drive.state()
+        what = f"6007h = {option}, heartbeat of node {_HOST:02X}h"
+        expected = f"operation enabled {_CONSUMER_MS // 2} ms after a heartbeat, within 1016h"
+        drive.expect(
+            early is State.OPERATION_ENABLED, what, expected, f"{early}", "1016h is not in ms"
+        )
+        drive.quiet(_CONSUMER_MS / 1e3)
+        drive.await_emergency(0x8130, begin_ns, f"{what} lost after {_CONSUMER_MS} ms")
+        drive.await_state(state, f"{what} lost", "reaction of 6007h")
+        drive.write(od.HEARTBEAT_CONSUMER, 0)

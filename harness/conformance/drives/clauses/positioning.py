@@ -1,0 +1,229 @@
+"""Profile position: set-points and their handshake, target reached, halt, change on set-point."""
+
+from typing import Final
+
+from motorhil.harness.conformance.clause import Level, NotApplicable
+from motorhil.harness.conformance.drives import objects as od
+from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace, Sample
+from motorhil.harness.conformance.drives.kit import drive_clause
+from motorhil.harness.conformance.drives.objects import Mode
+
+_PP: Final = "CiA 402-2 / IEC 61800-7-201, profile position mode"
+_CRUISE_S: Final = 0.2
+_WINDOW_MS: Final = 200
+_EARLY_S, _LATE_S = 0.02, 0.1
+
+
+def _start(bench: DriveBench) -> tuple[Drive, Pace, int, int]:
+    """Return the drive, enabled in pp, its pace, the position, and the distance of a move."""
+    drive = bench.drive
+    drive.require_mode(Mode.PP)
+    pace = drive.pace()
+    drive.enable(Mode.PP)
+    return drive, pace, drive.read(od.POSITION), pace.distance(_CRUISE_S)
+
+
+def _time_s(pace: Pace) -> float:
+    """Return the longest time of one move."""
+    return 2.0 * (2.0 * pace.ramp_s + _CRUISE_S) + STATE_S
+
+
+def _follow(drive: Drive, target: int, within_s: float) -> list[Sample]:
+    """Sample the position until the drive rests at a target."""
+    tolerance, still = drive.window(), 0
+    last = None
+
+    def ends(one: Sample) -> bool:
+        nonlocal still, last
+        is_there = abs(one.value - target) <= tolerance and one.value == last
+        still, last = still + 1 if is_there else 0, one.value
+        return still > 10
+
+    return drive.watch(od.POSITION, ends, within_s)
+
+
+@drive_clause("PP-01", Level.L1, source=f"{_PP}, controlword bit 6, 607Ah, 6067h")
+def targets_are_reached(bench: DriveBench) -> None:
+    """An absolute set-point ends at 607Ah, a relative one (bit 6) at its distance from the last."""
+    drive, pace, start, way = _start(bench)
+    target = start + way
+    drive.offer(target)
+    drive.await_target(target, _time_s(pace), f"absolute move from {start} to {target}")
+    drive.offer(-way // 2, od.RELATIVE)
+    target -= way - way // 2 if way % 2 else way // 2
+    drive.await_target(target, _time_s(pace), f"relative move by {-way // 2}")
+    drive.offer(start)
+    drive.await_target(start, _time_s(pace), f"absolute move back to {start}")
+
+
+@drive_clause("PP-02", Level.L1, source=f"{_PP}, controlword bit 4, statusword bit 12")
+def set_point_handshake(bench: DriveBench) -> None:
+    """Bit 12 follows bit 4: 0 at first, 1 with its edge and as long as it is 1, then 0 again."""
+    drive, pace, start, way = _start(bench)
+    seen = drive.statusword()
+    what, cause = "6041h, enabled without a set-point", "bit 12 is inverted, or stays set"
+    drive.expect(not seen & od.BIT_12, what, "bit 12 = 0", f"{seen:04X}h", cause)
+    drive.write(od.TARGET_POSITION, start + way)
+    drive.command(od.ENABLE | od.NEW_SET_POINT)
+    rose = drive.until(lambda word: word & od.BIT_12 != 0, STATE_S)
+    drive.expect(
+        rose is not None, "bit 4 0 -> 1", "bit 12 = 1", f"{drive.statusword():04X}h", cause
+    )
+    reached = drive.until(lambda word: word & od.TARGET_REACHED != 0, _time_s(pace))
+    drive.expect(reached is not None, "bit 4 = 1", "the move is made", "bit 10 stays 0", "")
+    seen = drive.statusword()
+    what = "6041h with bit 4 = 1"
+    drive.expect(
+        bool(seen & od.BIT_12), what, "bit 12 = 1", f"{seen:04X}h", "acknowledge too short"
+    )
+    drive.write(od.TARGET_POSITION, start)
+    drive.command(od.ENABLE | od.NEW_SET_POINT)
+    drive.quiet(0.2)
+    position = drive.read(od.POSITION)
+    drive.expect(
+        abs(position - start - way) <= drive.window(),
+        "607Ah written while bit 4 stays 1",
+        f"no move: {start + way} +- {drive.window()}",
+        f"6064h = {position}",
+        "the level of bit 4 starts moves, not its edge",
+    )
+    drive.command(od.ENABLE)
+    fell = drive.until(lambda word: not word & od.BIT_12, STATE_S)
+    cause = "bit 12 is never cleared"
+    drive.expect(
+        fell is not None, "bit 4 1 -> 0", "bit 12 = 0", f"{drive.statusword():04X}h", cause
+    )
+
+
+@drive_clause("PP-03", Level.L1, source=f"{_PP}, set-points one after another (bit 5 = 0)")
+def buffered_set_points(bench: DriveBench) -> None:
+    """A set-point with bit 5 = 0 waits until the running one is reached, and is executed then."""
+    drive, pace, start, way = _start(bench)
+    first, second = start + way, start + way // 2
+    drive.offer(first)
+    drive.quiet(pace.ramp_s)
+    drive.write(od.TARGET_POSITION, second)
+    drive.command(od.ENABLE | od.NEW_SET_POINT)
+    taken = drive.until(lambda word: word & od.BIT_12 != 0, _time_s(pace))
+    if taken is None:
+        raise NotApplicable("no second set-point is acknowledged: the drive has no buffer")
+    drive.command(od.ENABLE)
+    track = _follow(drive, second, 2.0 * _time_s(pace))
+    farthest, last = max(one.value for one in track), track[-1].value
+    drive.expect(
+        farthest >= first - drive.window() - 0.01 * way,
+        f"set-points {first}, then {second}",
+        f"{first} reached before the second",
+        f"turned at {farthest}",
+        "a buffered set-point is executed at once",
+    )
+    drive.expect(
+        abs(last - second) <= drive.window(),
+        f"set-points {first}, then {second}",
+        f"{second} +- {drive.window()} in the end",
+        f"6064h = {last}",
+        "the second set-point was acknowledged and lost",
+    )
+
+
+@drive_clause("PP-04", Level.L1, source=f"{_PP}, change set immediately (bit 5 = 1)")
+def immediate_set_points(bench: DriveBench) -> None:
+    """A set-point with bit 5 = 1 replaces the running one at once."""
+    drive, pace, start, way = _start(bench)
+    first = start + 3 * way
+    drive.offer(first, od.IMMEDIATELY)
+    drive.quiet(pace.ramp_s)
+    drive.offer(start, od.IMMEDIATELY)
+    track = _follow(drive, start, 3.0 * _time_s(pace))
+    farthest, last = max(one.value for one in track), track[-1].value
+    drive.expect(
+        farthest < start + 2 * way,
+        f"set-points {first}, then {start} after {pace.ramp_s:.2f} s",
+        f"turned before {start + 2 * way}",
+        f"turned at {farthest}",
+        "bit 5 is ignored",
+    )
+    what = f"set-point {start} with bit 5"
+    expected = f"{start} +- {drive.window()}"
+    drive.expect(abs(last - start) <= drive.window(), what, expected, f"6064h = {last}")
+
+
+@drive_clause("PP-05", Level.L1, source=f"{_PP}, statusword bit 10, 6067h, 6068h")
+def target_reached(bench: DriveBench) -> None:
+    """Bit 10 is 0 during a move; it is 1 once the position is in window 6067h for time 6068h."""
+    drive, pace, start, way = _start(bench)
+    drive.require(od.POSITION_WINDOW, od.POSITION_TIME)
+    window = drive.read(od.POSITION_WINDOW)
+    if not 0 < window < way // 10:
+        window = max(2, way // 1000)
+        drive.set(od.POSITION_WINDOW, window)
+    drive.set(od.POSITION_TIME, _WINDOW_MS)
+    drive.offer(start + way)  # its bit 10 must not be taken for that of the next move
+    drive.until(lambda word: word & od.TARGET_REACHED != 0, _time_s(pace))
+    target = start
+    drive.offer(target)
+    inside_ns: int | None = None
+    end_ns = drive.now_ns + round(_time_s(pace) * 1e9)
+    word = 0
+    while not word & od.TARGET_REACHED and drive.now_ns < end_ns:
+        position = drive.read(od.POSITION)
+        if abs(position - target) > window:
+            inside_ns = None
+        elif inside_ns is None:
+            inside_ns = drive.now_ns
+        word = drive.statusword()
+    seen_s = None if inside_ns is None else (drive.now_ns - inside_ns) / 1e9
+    is_set = bool(word & od.TARGET_REACHED)
+    seen = "before the window" if seen_s is None else f"{seen_s:.3f} s after entering the window"
+    sampling_s = 2.0 * pace.sample_s
+    low = _WINDOW_MS / 1e3 - _EARLY_S - sampling_s
+    high = _WINDOW_MS / 1e3 + _LATE_S + sampling_s
+    drive.expect(
+        is_set and seen_s is not None and low <= seen_s <= high,
+        f"bit 10 of a move to {target}, 6067h = {window}, 6068h = {_WINDOW_MS} ms",
+        f"1 from {low:.2f} s to {high:.2f} s after entering the window (20 ms: sampling)",
+        seen if is_set else "0",
+        "6067h or 6068h is ignored, or bit 10 is that of the last move",
+    )
+
+
+@drive_clause("PP-06", Level.L2, source=f"{_PP}, controlword bit 8; 605Dh = 1: 6084h")
+def halt_and_continue(bench: DriveBench) -> None:
+    """Halt (bit 8) stops at 6084h and then sets bit 10; without halt the move is completed."""
+    drive, pace, start, way = _start(bench)
+    if drive.find(od.HALT_OPTION) is not None:
+        drive.set(od.HALT_OPTION, 1)
+    target = start + 4 * way
+    drive.offer(target)
+    drive.await_velocity(pace.velocity, 3 * pace.ramp_s + 0.5)
+    drive.command(od.ENABLE | od.HALT)
+    drive.braked(pace.velocity, 3 * pace.ramp_s + 0.5, "bit 8 during a move")
+    halted = drive.until(lambda word: word & od.TARGET_REACHED != 0, STATE_S)
+    seen = f"6041h = {drive.statusword():04X}h"
+    drive.expect(halted is not None, "standstill with bit 8 = 1", "bit 10 = 1 (velocity 0)", seen)
+    position = drive.read(od.POSITION)
+    drive.quiet(0.2)
+    moved = abs(drive.read(od.POSITION) - position)
+    drive.expect(moved <= drive.window(), "bit 8 = 1", "no motion", f"{moved} in 0.2 s")
+    drive.command(od.ENABLE)
+    drive.await_target(target, 2.0 * _time_s(pace), "bit 8 1 -> 0: the move is continued")
+
+
+@drive_clause("PP-07", Level.L1, source=f"{_PP}, change on set-point (bit 9 = 1, bit 5 = 0)")
+def change_on_set_point(bench: DriveBench) -> None:
+    """A set-point with bit 9 = 1 in the same direction passes the running target at speed."""
+    drive, pace, start, way = _start(bench)
+    first, second = start + way, start + 2 * way
+    drive.offer(first)
+    drive.quiet(pace.ramp_s / 2.0)
+    drive.offer(second, od.ON_SET_POINT)
+    track = drive.watch(od.POSITION, lambda one: one.value >= first, _time_s(pace))
+    drive.expect(track[-1].value >= first, f"set-point {first}", "reached", f"{track[-1].value}")
+    velocity = drive.read(od.VELOCITY)
+    last = drive.await_target(second, _time_s(pace), f"set-point {second} with bit 9")
+    if velocity < pace.velocity // 2:
+        raise NotApplicable(
+            f"the drive stops at {first}: it ignores bit 9, as drives to DSP 402 version 2 do"
+            f" ({last} was reached)"
+        )

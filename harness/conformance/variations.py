@@ -1,0 +1,198 @@
+"""Variations of the kit's own benches, so that no clause depends on the bench being simple.
+
+Each variation is the kit's rig with other text in some places. Most are of the CiA 402 rig. The
+set grows with every correct motor that was accused. A user's rig is used as it is.
+"""
+
+import random
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import installed_plugins
+
+_PLANT = 'plant = { preset = "wheel_60w" }'
+_FINE = "window_rad = 0.001\nfollowing_rad = 0.0005"
+
+Change = tuple[str, str]
+
+
+def of_drive(settings: str) -> list[Change]:
+    """Return the change that gives both drives these settings."""
+    return [(_PLANT, f"{_PLANT}\n{settings}")]
+
+
+def of_plant(values: str) -> list[Change]:
+    """Return the change that gives both plants these values."""
+    return [(_PLANT, f'plant = {{ preset = "wheel_60w", {values} }}')]
+
+
+def without_modes(supported: int) -> list[Change]:
+    """Return the change that gives both drives these supported modes, 6502h."""
+    return of_drive(f'objects = {{ "6502h" = {supported} }}')
+
+
+_LINEAR: list[Change] = [
+    ("gear_ratio = 66.0", "motor_turns_per_m = 200.0"),
+    ("[motor.left.model]", '[motor.left.model]\nkind = "linear"'),
+    ("[motor.right.model]", '[motor.right.model]\nkind = "linear"'),
+    ("velocity_max_rad_s = 2.0", "velocity_max_m_s = 0.3"),
+    ("acceleration_max_rad_s2 = 4.0", "acceleration_max_m_s2 = 1.0"),
+    ("torque_max_n_m = 5.0", "force_max_n = 50.0"),
+    ("velocity_unit_rad_s = 4.7599888690754445e-05", "velocity_unit_m_s = 0.0000025"),
+    ("acceleration_unit_rad_s2 = 4.7599888690754445e-05", "acceleration_unit_m_s2 = 0.0000025"),
+    ("window_rad = 0.001", "window_m = 0.0003"),
+    ("following_rad = 0.0005", "following_m = 0.0002"),
+    ("long_move_rad = 1.0", "long_move_m = 0.2"),
+]
+_TWO_BUSES: list[Change] = [
+    ("[controller.left]", "[bus.can1]\nbitrate_bit_s = 500_000\n\n[controller.left]"),
+    ('bus = "can0"\nnode_id = 2', 'bus = "can1"\nnode_id = 1'),
+]
+_PRIORITY = "".join(
+    f'[bus.can0.node.{node}]\nqueue = "priority"\n\n' for node in ("host", "left", "right")
+)
+_THIRD = """[controller.third]
+kind = "cia402"
+bus = "can0"
+node_id = 3
+plant = { preset = "wheel_60w" }
+
+[motor.third]
+adaptation = "cia402"
+controller = "third"
+servo_period_ms = 1.0
+[motor.third.model]
+velocity_max_rad_s = 2.0
+acceleration_max_rad_s2 = 4.0
+torque_max_n_m = 5.0
+current_max_a = 4.0
+gear_ratio = 66.0
+encoder_increments_rev = 2000
+velocity_unit_rad_s = 4.7599888690754445e-05
+acceleration_unit_rad_s2 = 4.7599888690754445e-05
+
+"""
+_THREE: list[Change] = [
+    ("[group.both]", f"{_THIRD}[group.both]"),
+    ('motors = ["left", "right"]', 'motors = ["left", "right", "third"]'),
+]
+_ELASTIC = (
+    "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
+)
+
+VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
+    "reversing gear": [("gear_ratio = 66.0", "gear_ratio = -66.0")],
+    "linear axis": _LINEAR,
+    "starts at 5 rad": of_drive("initial_position_rad = 5.0"),
+    "starts near the end of the counter": of_drive("initial_position_rad = 102_000.0"),
+    "starts near its other end": of_drive("initial_position_rad = -102_000.0"),
+    "inverted positions": of_drive('objects = { "607Eh" = 0x80 }'),
+    "inverted velocities": of_drive('objects = { "607Eh" = 0x40 }'),
+    "inverted polarity": of_drive('objects = { "607Eh" = 0xC0 }'),
+    "home offset": of_drive('objects = { "607Ch" = 1000 }'),
+    "halt by the quick stop ramp": of_drive('objects = { "605Dh" = 2 }'),
+    "no csp": without_modes(0x2D),
+    "no tq": without_modes(0xA5),
+    "no pv": without_modes(0xA1),
+    "only pp": without_modes(0x01),
+    "fast clock": [(_PLANT, f"{_PLANT}\noscillator = {{ ppm = 100.0 }}")],
+    "slow clock": [(_PLANT, f"{_PLANT}\noscillator = {{ ppm = -100.0 }}")],
+    "clocks that drift apart": [
+        ('bus = "can0"\nnode_id = 1', 'bus = "can0"\nnode_id = 1\noscillator = { ppm = 80.0 }'),
+        ('bus = "can0"\nnode_id = 2', 'bus = "can0"\nnode_id = 2\noscillator = { ppm = -80.0 }'),
+    ],
+    "priority queues": [("[controller.left]", f"{_PRIORITY}[controller.left]")],
+    "three motors": _THREE,
+    "slow bus": [("1_000_000", "125_000")],
+    "slow SDO server": of_drive("timing = { sdo_reply_s = 0.005 }"),
+    "friction": [
+        *of_plant("coulomb_friction_n_m = 0.008"),
+        ("following_rad = 0.0005", "following_rad = 0.001"),
+    ],
+    "backlash": [*of_plant(_ELASTIC), (_FINE, "window_rad = 0.006\nfollowing_rad = 0.006")],
+    "two buses with equal node-IDs": _TWO_BUSES,
+} | {
+    f"quirk {name}": of_drive(f'quirks = ["{name}"]')
+    for name in (
+        "inverted_set_point_acknowledge",
+        "single_set_point_only",
+        "edge_only_bits",
+        "stale_target_reached",
+        "halt_holds_mode",
+        "stray_emcy",
+        "misplaced_error_register",
+        "slow_sdo",
+        "heartbeat_jitter",
+    )
+}
+
+_GENERAL: Final = ("reversing gear", "starts at 5 rad", "fast clock", "slow clock")
+"""Variations that do not depend on the kind of the controllers."""
+NOT_VARIED: Final = ("busy bus", "a second program")
+"""Conditions that no variation makes yet; a run reports that they were not met."""
+OWN: Final = ""
+"""The name of the rig as it is."""
+_OWN_SHARE: Final = 3
+"""The rig as it is checks one clause of so many."""
+
+
+def applicable(text: str) -> tuple[str, ...]:
+    """Return the names of the variations that the rig in this text can have."""
+    is_cia402 = 'kind = "cia402"' in text
+    return tuple(
+        name
+        for name, changes in VARIATIONS.items()
+        if (is_cia402 or name in _GENERAL) and all(before in text for before, _ in changes)
+    )
+
+
+def text_of(text: str, changes: Sequence[Change]) -> str:
+    """Return the text of a rig with these changes.
+
+    Raises:
+        ValueError: the text lacks a place to change.
+    """
+    for before, after in changes:
+        if before not in text:
+            raise ValueError(f"the rig has no {before!r} to change; use another rig")
+        text = text.replace(before, after)
+    return text
+
+
+def changes_claims(name: str) -> bool:
+    """Return whether motors with this variation claim less than those of the rig as it is."""
+    return any("6502h" in after for _, after in VARIATIONS[name])
+
+
+def varied(rig: RigDescription, name: str) -> RigDescription:
+    """Return the rig with this variation; its name says so."""
+    text = text_of(rig.source.text, VARIATIONS[name])
+    described = parse_rig(Source(rig.source.path, text), installed_plugins())
+    return replace(described, name=f"{rig.name}, {name}")
+
+
+def assigned(clauses: Sequence[str], names: Sequence[str], seed: int) -> dict[str, str]:
+    """Return the variation for each clause; each variation has a clause if there are enough.
+
+    The first clause is checked on the rig as it is, so that the first verdict comes soon. The same
+    seed gives the same variations.
+    """
+    order = random.Random(f"benches {seed}")
+    bag: list[str] = []
+    found = {}
+    for number, clause in enumerate(clauses):
+        if number % _OWN_SHARE == 0 or not names:
+            found[clause] = OWN
+            continue
+        if not bag:
+            bag = order.sample(list(names), len(names))
+        found[clause] = bag.pop()
+    return found
+
+
+def not_met(names: Sequence[str], met: Collection[str]) -> list[str]:
+    """Return the variations, and other conditions, that no checked clause has met."""
+    return [name for name in names if name not in met] + list(NOT_VARIED)

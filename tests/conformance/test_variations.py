@@ -1,0 +1,70 @@
+"""Variations of the kit's benches: which clause meets which."""
+
+import pytest
+
+from motorhil.harness.cli.main import main
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.variations import (
+    NOT_VARIED,
+    OWN,
+    VARIATIONS,
+    assigned,
+    not_met,
+    text_of,
+)
+from tests.support.kit_benches import KINDS, RIGS
+
+CLAUSES = list(all_clauses())
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_every_variation_is_met_by_a_clause(seed):
+    met = assigned(CLAUSES, list(VARIATIONS), seed)
+    assert set(met.values()) == {OWN, *VARIATIONS}
+    assert met[CLAUSES[0]] == OWN  # the first verdict waits for no other bench
+    assert met == assigned(CLAUSES, list(VARIATIONS), seed)
+
+
+def test_seeds_vary_the_bench_of_a_clause():
+    benches = {assigned(CLAUSES, list(VARIATIONS), seed)[CLAUSES[1]] for seed in range(1, 9)}
+    assert len(benches) > 3
+
+
+def test_conditions_without_clause_are_reported():
+    assert not_met(["backlash", "slow bus"], {OWN, "slow bus"}) == ["backlash", *NOT_VARIED]
+
+
+def test_text_without_the_place_of_a_change_is_refused():
+    with pytest.raises(ValueError, match=r"gear_ratio = 66\.0"):
+        text_of("[rig]", VARIATIONS["reversing gear"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_variation_of_a_kind_opens(kind):
+    target = Target(Job(kind))
+    assert "reversing gear" in target.variations
+    for name in target.variations:
+        with target.opener(None, name)() as bench:
+            assert bench.name == f"{target.rig.name}, {name}"
+
+
+def test_rig_of_a_user_is_not_varied():
+    assert Target(Job("cia402", str(RIGS / "cia402.toml"))).variations == ()
+
+
+def test_unknown_variation_is_wrong_usage(capfd):
+    words = ["conform", "--adaptation", "ideal", "--clause", "UNIT-01", "--benches", "reversing"]
+    assert main(words) == 2
+    assert "did you mean reversing gear?" in capfd.readouterr().err
+
+
+def test_failure_repeats_on_its_bench(capfd, tmp_path, monkeypatch):
+    monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
+    (tmp_path / "harm").write_text("has_a_bug")
+    adaptation = "tests.support.misbehaving_motors:build"
+    words = ["conform", "--adaptation", adaptation, "-o", str(tmp_path), "--clause", "STATE-01"]
+    assert main([*words, "--benches", "reversing gear"]) == 1
+    out = capfd.readouterr().out
+    assert "on two ideal motors, on no bus, reversing gear" in out
+    assert "--clause STATE-01 --seed 1 --benches 'reversing gear'" in out
