@@ -8,7 +8,9 @@ from tests.support.kit_benches import RIGS
 
 _SEEKING = "seeking_method = 17\n"
 _WITHOUT_CONSUMER = '\n[conformance.without]\ndead_man = "the file has no heartbeat consumer"\n'
-VARIANTS = VARIATIONS
+_ACCELERATION = "acceleration_max_rad_s2 = 4.0"
+_GENTLY = [(_ACCELERATION, f"{_ACCELERATION}\ndeceleration_max_rad_s2 = 1.0")]
+VARIANTS = {**VARIATIONS, "brakes gently": _GENTLY}
 VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
 

@@ -10,7 +10,8 @@ from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
 
 RIGS = Path(motorhil.harness.conformance.__file__).parent / "rigs"
-KINDS = tuple(sorted(path.stem for path in RIGS.glob("*.toml")))
+KINDS = tuple(sorted(path.stem for path in RIGS.glob("*.toml") if "\n[motor." in path.read_text()))
+"""The kinds whose rigs have motors; the others are for controllers alone."""
 
 
 @cache

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
+from itertools import product
 from math import hypot, sqrt
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -59,6 +60,7 @@ _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
 _FRAMES = 16  # of the host, in the start of a pair
 _WATCHED_S = 0.2
+_LOOKS = 10  # at the positions, while no caller waits
 _FAR = 1e-6  # U: two skews that are not meant to differ
 
 
@@ -286,7 +288,7 @@ def group_operations_reach_every_member(bench: RigProtocol) -> None:
     )
     way = 2.0 * half_move(bench)
     group.set_trajectory(*trajectories_of(-way, -way))
-    for stop in (MotorGroup.stop, MotorGroup.halt):
+    for stop in (MotorGroup.stop, MotorGroup.halt, MotorGroup.quick_stop):
         group.start()
         rest_for(bench, midway_s(first, way, 0.3))
         before = positions_of(bench, group)
@@ -297,6 +299,7 @@ def group_operations_reach_every_member(bench: RigProtocol) -> None:
             expect_rest(bench, motor, what)
             moved = abs(position_of(bench, motor) - was)
             expect(moved < 0.5 * way, f"{what} moved on by {moved:g} of {way:g}")
+        group.for_each(Motor.enable)
     _expect_removal(bench, group)
 
 
@@ -556,8 +559,8 @@ def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
     source="FaultReaction; requirement 5, synchronised motions",
 )
 def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
-    """If one member fails, the group fails, and the others react as set: stop or continue."""
-    for reaction in FaultReaction:
+    """If one member fails, the others react as set: stop or continue, also if no caller waits."""
+    for reaction, waits in product(FaultReaction, (True, False)):
         bench.afresh()
         way = 3.0 * half_move(bench)
         group = pair_of(bench, way, -way)
@@ -565,22 +568,20 @@ def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
             group.synchronization = Synchronization.PHASE
         group.fault_reaction = reaction
         failing, other = bench.motors[:2]
+        waiting = "a caller waits" if waits else "no caller waits"
+        what = f"{failing.name} failed with reaction {reaction.name} while {waiting}"
         before = position_of(bench, other)
         group.start()
         rest_for(bench, midway_s(other, way, 0.4))
         bench.fail(failing)
-        error = failure_of(partial(group.wait_until_done, 10.0))
-        expect(
-            error is not None,
-            f"a member failed with reaction {reaction.name}, but its group reported done",
-        )
-        rest_for(bench, shortest_s(other, way))
-        expect_rest(
-            bench, other, f"{failing.name} failed with reaction {reaction.name}: {other.name}"
-        )
+        error = failure_of(partial(group.wait_until_done, 10.0)) if waits else None
+        for _ in range(_LOOKS):
+            rest_for(bench, shortest_s(other, way) / _LOOKS)
+            failing.position()  # a host that only polls when asked to notices the fault now
+        expect_rest(bench, other, f"{what}: {other.name}")
         made = abs(position_of(bench, other) - before) / abs(way)
         continues = reaction is FaultReaction.NONE
-        expect(
-            continues is (made > 0.98),
-            f"{failing.name} failed, {reaction.name}: {other.name} made {made:.0%}",
-        )
+        expect(continues is (made > 0.98), f"{what}: {other.name} made {made:.0%}")
+        if not waits:
+            error = failure_of(partial(group.wait_until_done, 10.0))
+        expect(error is not None, f"{what}, but its group reported done")

@@ -1,5 +1,6 @@
 """L1: effects and conditions of start(); the end of a motion, notification and progress."""
 
+import re
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -344,17 +345,35 @@ def motion_continues_after_wait_timeout(bench: RigProtocol) -> None:
     try:
         motor.wait_until_done(0.2 * expected_s)
     except DeadlineExceeded as error:
-        expect(motor.name in error.awaited, f"the error does not name the motor: {error}")
-        waited_s = elapsed_s(bench, begun_ns)
+        named = motor.name in error.awaited and motor.name in str(error)
+        expect(named, f"the error does not name the motor: {error}")
+        waited_s, asked_s = elapsed_s(bench, begun_ns), 0.2 * expected_s
         expect(
-            waited_s <= 0.2 * expected_s + bench.facts.time_tolerance_s,
-            f"a wait of {0.2 * expected_s:.3f} s ended after {waited_s:.3f} s",
+            -1e-6 <= waited_s - asked_s <= bench.facts.time_tolerance_s,
+            f"a wait of {asked_s:.3f} s ended after {waited_s:.3f} s",
         )
+        expect(
+            error.timeout_s == asked_s,
+            f"a wait of {asked_s} s: the error states {error.timeout_s} s",
+        )
+        _expect_recent(bench, error.last_heard)
     else:
         raise Violated("a wait for a fifth of the motion ended without DeadlineExceeded")
     rest_for(bench, 2.0 * expected_s)
     finish(bench, motor)
     expect_at(bench, motor, begin + way, "after a motion without a wait")
+
+
+def _expect_recent(bench: RigProtocol, heard: str) -> None:
+    """Check the time in the text about the last status."""
+    stated = re.search(r" at ([0-9.]+) s", heard)
+    if stated is None:  # nothing was heard, or its time is not known
+        return
+    now_s = bench.runtime.now_ns() / 1e9
+    expect(
+        -1e-6 <= now_s - float(stated[1]) <= bench.facts.lost_s,
+        f"at {now_s:.3f} s, the last status is stated as: {heard}",
+    )
 
 
 @clause(

@@ -3,10 +3,11 @@
 from itertools import pairwise
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_at,
+    expect_moved,
     expect_raises,
     expect_rest,
     expect_speed,
@@ -31,12 +32,16 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    Motor,
+    MotorPosition,
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
 
 _AFTER_S = 0.2
+_GEAR = 0.5  # of a led motor
+_LEADS = 0.1  # of the largest velocity, that of a leader
 _SOON_S = 0.02
 _FEW_S = 0.02  # a few samples
 
@@ -335,3 +340,43 @@ def last_sample_of_stream_is_executed(bench: RigProtocol) -> None:
             f"a trajectory to {final:g} {model.unit}/s in {_FEW_S:g} s continues at {found:.6g}"
             f" {model.unit}/s; expected within {spare:.3g} {model.unit}/s",
         )
+
+
+@clause(
+    "LEAD-01",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH, Ability.SECOND_MOTOR},
+    source="paper 3.3.1: the argument can be another quantity than time; Argument, MotorPosition",
+)
+def led_motor_follows_its_leader(bench: RigProtocol) -> None:
+    """A motor that another one leads follows it both ways, and is done at the end of the range."""
+    from motorhil.motorapi.functions import Polynomial
+
+    led, leader = bench.motors[:2]
+    way, origin = long_move(bench), leader.position()
+    gear = Polynomial((0.0, _GEAR)).restricted(origin, origin + way)
+    led.set_control_mode(ControlMode.TRAJECTORY)
+    try:
+        led.set_trajectory(ComplexTrajectory(gear, relative=True), MotorPosition(leader))
+        before = position_of(bench, led)
+        led.start()
+    except UnsupportedError as error:
+        raise NotApplicable(f"no motor can lead this one: {error}") from None
+    made = 0.0
+    for share in (0.5, -0.25):
+        _lead(bench, leader, share * way)
+        rest_for(bench, _AFTER_S)
+        made += share
+        expect_moved(bench, led, before, _GEAR * made * way, f"its leader moved by {share:g}")
+        expect(not led.is_done(), f"done was reported at {made:.0%} of the leader's range")
+    _lead(bench, leader, way)  # to the end of the range, and beyond
+    finish(bench, led)
+    expect_moved(bench, led, before, _GEAR * way, "its leader left the range")
+
+
+def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:
+    """Move slowly, as the position of a leader is known in steps."""
+    slow = _LEADS * leader.model.velocity_max
+    follow(leader, TrapezoidalTrajectory(way, limits=DerivativeLimits(first=slow)))
+    finish(bench, leader, shortest_s(leader, way) + abs(way) / slow)

@@ -10,6 +10,7 @@ from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.ideal.profiles import Led
 from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
@@ -439,4 +440,20 @@ def ramps_are_written_for_trajectories_only():
         return motion
 
     with motions_changed(Cia402Motor, wrong):
+        yield
+
+
+@mutant("ideal", "LEAD-01")
+def a_led_motor_is_done_with_its_leader_at_rest():
+    """A motion over another motor's position is over as soon as that motor stands still."""
+
+    def wrong(look):
+        def looked(self, now_ns):
+            look(self, now_ns)
+            if self._look[2] == 0.0 and now_ns - self.begun_ns > 100_000_000:
+                self.over_ns = now_ns
+
+        return looked
+
+    with replaced(Led, "look", wrong):
         yield

@@ -1,7 +1,9 @@
 """Mistakes in the end of motions, and in its notification."""
 
+import re
 from dataclasses import replace
 
+from motorhil.motorapi import execution
 from motorhil.motorapi import motor as motor_module
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
@@ -54,6 +56,21 @@ def stale_done():
         return done
 
     with replaced(Cia402Motor, "_is_done", wrong):
+        yield
+
+
+def _in_milliseconds(seconds):
+    return f"{1e3 * float(seconds[0]):.6f}"
+
+
+@mutant("ideal", "DONE-02")
+def last_heard_in_milliseconds():
+    """The error of a wait that times out states the time of the last status in milliseconds."""
+
+    def wrong(heard):
+        return lambda motor: re.sub(r"[0-9.]+(?= s)", _in_milliseconds, heard(motor))
+
+    with replaced(execution, "_last_heard", wrong):
         yield
 
 

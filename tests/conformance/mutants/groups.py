@@ -117,6 +117,13 @@ def the_others_go_on():
         yield
 
 
+@mutant("cia402", "SYNC-09")
+def supervised_while_waited_for():
+    """A failed member stops the others only while a caller waits for the group."""
+    with replaced(CommonMotion, "begin", lambda _: lambda motion: None):
+        yield
+
+
 @mutant("software", "SYNC-09")
 def a_fault_of_one_is_swallowed():
     """A wait for a group ignores the members that have failed."""

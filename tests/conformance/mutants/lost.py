@@ -12,6 +12,7 @@ from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
 from motorhil.motorapi.commands import Setpoint
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from tests.conformance.mutants import mutant, replaced
@@ -155,6 +156,13 @@ def state_of_before_the_loss():
         return DriveReader.state
 
     with replaced(DriveReader, "fresh_state", wrong):
+        yield
+
+
+@mutant("oriental_az", "LOST-05")
+def a_loss_is_taken_for_a_restart():
+    """After a loss, a drive that kept its power is reported as disabled."""
+    with replaced(OrientalAzHwMotor, "_remembers", lambda _: lambda hardware: False):
         yield
 
 

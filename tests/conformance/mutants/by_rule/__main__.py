@@ -42,11 +42,13 @@ def is_closed(trial: Trial, reasons: Reasons) -> bool:
 
 
 def share(trials: Sequence[Trial], reasons: Reasons) -> str:
-    """Return the share of the mutants to be found that clauses have found."""
-    wanted = [one for one in trials if not is_closed(one, reasons)]
-    found = sum(one.outcome.is_found for one in wanted)
-    part = f" ({100 * found / len(wanted):.1f} %)" if wanted else ""
-    return f"found: {found} of {len(wanted)}{part} that clauses should find"
+    """Return the share of the mutants that matter which clauses have found, and can find."""
+    judged = [(one, reason_of(one.mutant, reasons)) for one in trials]
+    wrong = [one for one, why in judged if one.outcome.is_found or not (why and why.is_harmless)]
+    near = [one for one in wrong if not is_closed(one, reasons)]
+    found = sum(one.outcome.is_found for one in trials)
+    parts = [f"{found} of {len(some)} ({found / max(1, len(some)):.0%})" for some in (wrong, near)]
+    return f"found: {parts[0]} that are not harmless; {parts[1]} that no other test has to see"
 
 
 def told(trial: Trial, reasons: Reasons) -> Iterator[str]:

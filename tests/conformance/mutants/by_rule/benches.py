@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-VARIANTS: Final = ("linear axis", "inverted polarity", "home offset", "only pp")
+VARIANTS: Final = ("linear axis", "inverted polarity", "brakes gently", "only pp")
 _OF: Final = "cia402: "
 
 

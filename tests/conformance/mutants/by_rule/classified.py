@@ -12,7 +12,8 @@ from tests.conformance.mutants.by_rule.sources import Mutant, mutants_in
 
 KNOWN: Final = Path(__file__).with_name("known.toml")
 FILE: Final = Path(__file__).with_name("equivalent.toml")
-CLASSES: Final = ("equivalent", "unobservable", "defensive", "speed", "elsewhere", "open")
+HARMLESS: Final = ("equivalent", "unobservable", "defensive", "speed")
+CLASSES: Final = (*HARMLESS, "elsewhere", "open")
 """No user can see the change; the kit cannot, by what it may know; it matters only if something
 else is wrong, too; it costs time alone; another test than the kit has to see it; a clause should
 see it, and none does yet."""
@@ -32,6 +33,11 @@ class Reason:
     change: str
     kind: str
     reason: str
+
+    @property
+    def is_harmless(self) -> bool:
+        """True if the mutant does no harm that a user can see."""
+        return self.kind in HARMLESS
 
     @property
     def is_closed(self) -> bool:

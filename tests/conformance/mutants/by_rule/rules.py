@@ -85,7 +85,7 @@ class Edit:
             return f"{type(self.owner).__name__.lower()} {ast.unparse(self.owner.test)}"
         if isinstance(self.owner, ast.stmt) and hasattr(self.owner, "body"):
             return ast.unparse(getattr(self.owner, self.field))
-        if isinstance(self.owner, ast.expr | ast.stmt):
+        if isinstance(self.owner, ast.expr | ast.stmt | ast.arguments):
             return ast.unparse(self.owner)
         return ast.unparse(self.statement).split("\n")[0]
 

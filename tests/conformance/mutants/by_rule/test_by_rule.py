@@ -48,6 +48,7 @@ def changes_of(text, rule):
         ("constant", "x = 2.0", ["x = 2.0 -> x = 4.0", "x = 2.0 -> x = -2.0"]),
         ("constant", "x = True", ["x = True -> x = False"]),
         ("constant", "x: Array[3] = f'{a:08X}'", []),
+        ("constant", "g = lambda b=0: b", ["b=0 -> b=1"]),
         ("dropped call", "a.send(1)", ["a.send(1) -> ..."]),
         ("dropped call", "x = a.send(1)", []),
         ("dropped raise", "raise Fault(a)", ["raise Fault(a) -> ..."]),
