@@ -173,9 +173,10 @@ class ClauseOfKit(pytest.Item):
             return super().repr_failure(excinfo)
         lines = [
             str(error),
-            f"likely cause: {cause_of(error.finding)}",
+            f"promise: {self.promise.promise}",
             f"source: {self.promise.source}",
-            *told_in_full(error.finding),
+            f"likely cause: {cause_of(error.finding)}",
+            *told_in_full(error.finding)[1:],
         ]
         return shortened("\n".join(lines), self.config)
 
