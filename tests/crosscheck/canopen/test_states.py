@@ -158,8 +158,9 @@ def test_velocity_mode_is_exact_bit_by_bit(wire):
     wire.controlword(0x010F)  # halt
     wire.run(500 * MS)
     seen = [word & 0x3400 for word in words(wire, count)]
-    # moving; above zero speed; reached; halt: slowing down; at rest, which is its target
-    assert [bits for bits, _ in itertools.groupby(seen)] == [0x1000, 0, 0x0400, 0, 0x1400]
+    # moving; above zero speed; reached; halt: slowing down; below 606Fh; at rest for 606Eh
+    passed = [0x1000, 0, 0x0400, 0, 0x1000, 0x1400]
+    assert [bits for bits, _ in itertools.groupby(seen)] == passed
 
 
 def test_torque_mode_is_exact_bit_by_bit(wire):

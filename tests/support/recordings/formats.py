@@ -20,6 +20,6 @@ WRITTEN = [
 ]
 
 
-def in_order_of(form, frames):
-    """Return the frames, sorted if the format stores no other order."""
-    return list(frames) if Feature.ORDER in form.holds else sorted(frames, key=mf4.order_key)
+def in_order_of(holds, frames):
+    """Return the frames, sorted if a format that holds these features stores no other order."""
+    return list(frames) if Feature.ORDER in holds else sorted(frames, key=mf4.order_key)

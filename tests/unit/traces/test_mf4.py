@@ -78,7 +78,7 @@ def test_damaged_file_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.usefixtures("asammdf")
-@given(recordings(MF4))
+@given(recordings(MF4.holds))
 def test_python_can_reads_the_frames_written(frames):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -376,14 +376,14 @@ def test_controller_that_sends_sync_is_counted(tmp_path, capsys):
     assert facts == ["SYNC", "left", 0.004, "periodic"]
 
 
-def test_closed_output_exits_silently_with_1(rig):
-    """As for any verb: no output, exit status 1."""
+def test_closed_output_exits_silently_with_141(rig):
+    """As for any verb: no output, and the status of a program that a broken pipe ends."""
     command = f"{sys.executable} -m motorhil analyse {rig} --json; echo $? >&2"
     read, write = os.pipe()
     os.close(read)
     told = subprocess.run(["sh", "-c", command], stdout=write, stderr=subprocess.PIPE, text=True)
     os.close(write)
-    assert told.stderr == "1\n"
+    assert told.stderr == "141\n"
 
 
 def test_message_late_without_interference_is_reported(tmp_path, capsys):

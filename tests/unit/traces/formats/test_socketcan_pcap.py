@@ -25,7 +25,7 @@ def read(tmp_path, data):
     path = tmp_path / "some.pcap"
     path.write_bytes(data)
     findings = Findings()
-    return [tuple(frame)[:4] for frame in captured_frames(str(path), findings)], findings
+    return [tuple(frame)[:4] for frame in captured_frames(str(path), findings, 1 << 28)], findings
 
 
 def test_pcap_of_socketcan_is_read(tmp_path):

@@ -45,6 +45,7 @@ class Heard:
         version: the drive's versions, with the protocol's first; None: not received yet.
         answers: the last values of other messages, by command.
         lost_since_ns: the time of its loss; None while it is heard.
+        blind_since_ns: the time since which its estimates are missing; None while they come.
         is_homed: whether its position 0 is known; False after a loss, as it may have booted.
         watch: follows the last command, or None.
     """
@@ -56,6 +57,7 @@ class Heard:
         self.version: tuple[float, ...] | None = None
         self.answers: dict[int, tuple[float, ...]] = {}
         self.lost_since_ns: int | None = None
+        self.blind_since_ns: int | None = None
         self.is_homed = False
         self.watch: Watch | None = None
         self._label = label
@@ -79,6 +81,9 @@ class Heard:
         if self.lost_since_ns is not None:
             reason = f"no heartbeat for {self._timeout_ms:g} ms"
             raise LinkError(link=self._label, reason=reason, since_ns=self.lost_since_ns)
+        if self.blind_since_ns is not None:
+            reason = f"no encoder estimate for {self._timeout_ms:g} ms"
+            raise LinkError(link=self._label, reason=reason, since_ns=self.blind_since_ns)
 
     @property
     def is_lost(self) -> bool:
@@ -111,10 +116,14 @@ class Heard:
 
     def look(self, now_ns: int) -> bool:
         """Return whether the drive has just been lost; to be called periodically."""
-        heard = self.heartbeat
+        heard, estimate, timeout_ns = self.heartbeat, self.estimate, self._timeout_ms * 1e6
+        is_stale = estimate is not None and now_ns - estimate.time_ns > timeout_ns
+        if is_stale and self.blind_since_ns is None:
+            self.blind_since_ns = now_ns
+            self.news.grow()
         if heard is None or self.lost_since_ns is not None:
             return False
-        if now_ns - heard.time_ns <= self._timeout_ms * 1e6:
+        if now_ns - heard.time_ns <= timeout_ns:
             return False
         self.lost_since_ns = now_ns
         self.is_homed = False
@@ -141,6 +150,7 @@ class Heard:
 
     def _on_estimates(self, values: tuple[float, ...], time_ns: int) -> None:
         self._before, self.estimate = self.estimate, Estimate(values[0], values[1], time_ns)
+        self.blind_since_ns = None
         if self._show():
             self.news.grow()
 

@@ -140,11 +140,13 @@ class OdriveMotor(Motor):
         return self._hardware.heard.is_homed
 
     def _read_position(self) -> float:
+        self._hardware.heard.check()
         estimate = self._hardware.heard.estimate
         assert estimate is not None  # after _connect
         return estimate.position / self._units.rev
 
     def _read_velocity(self) -> float:
+        self._hardware.heard.check()
         estimate = self._hardware.heard.estimate
         assert estimate is not None
         return estimate.velocity / self._units.rev
