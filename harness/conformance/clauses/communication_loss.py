@@ -153,8 +153,17 @@ def restored_cable_starts_no_motion(bench: RigProtocol) -> None:
 )
 def state_after_loss_is_true(bench: RigProtocol) -> None:
     """After a loss, a motor reports that it is enabled if and only if it holds its position."""
+    for has_moved in (True, False):
+        bench.afresh()
+        motor = bench.motor
+        motor.enable()
+        if has_moved:  # the host and the drive know one another
+            move(bench, motor, 0.25 * long_move(bench))
+        _expect_true_state(bench, "after a motion" if has_moved else "enabled, but never moved")
+
+
+def _expect_true_state(bench: RigProtocol, when: str) -> None:
     motor = bench.motor
-    move(bench, motor, 0.25 * long_move(bench))  # the host and the drive know one another
     with bench.cut(motor):
         rest_for(bench, until_rest_s(bench, motor))
         motor.state()  # a host that only asks when asked to notices the loss now
@@ -166,12 +175,12 @@ def state_after_loss_is_true(bench: RigProtocol) -> None:
     bench.load(motor, torque_of(motor, _HOLDS))
     rest_for(bench, 0.5)
     if state is MotorState.ENABLED:
-        expect_unmoved(bench, motor, before, "reported as enabled, with a load")
+        expect_unmoved(bench, motor, before, f"{when}: reported as enabled, with a load")
         return
     moved = abs(position_of(bench, motor) - before)
     expect(
         moved > 10.0 * bench.facts.window,
-        f"reported as disabled after a loss, the motor still holds {_HOLDS:.0%} of its torque",
+        f"{when}: reported as disabled after a loss, the motor holds {_HOLDS:.0%} of its torque",
     )
 
 

@@ -51,6 +51,10 @@ if TYPE_CHECKING:
 
 _HERE_IS_ZERO: Final = (None, 35, 37)
 _VOLTS: Final = 10.0
+# The time without approach to the target of a set-point, after which it fails. It includes the time
+# to rest from the full speed, with a load that leaves a thirtieth of the planned deceleration.
+_STALL_S: Final = 1.0
+_STALL_STOPS: Final = 30.0
 _LIMITED: Final = "torque, current and velocity set-points with a limit of their first derivative"
 
 
@@ -66,7 +70,8 @@ class ServoParameters:
             [s].
         following_error_window: the largest following error of a motion without a fault [U]; inf: no
             limit. None: ten times the model's start tolerance.
-        following_error_s: the time for which it must be exceeded [s].
+        following_error_s: the time for which it must be exceeded [s]. A set-point of position
+            fails instead after a time without approach to its target.
         quick_stop_deceleration: [U/s²]; None: the model's deceleration.
 
     Raises:
@@ -342,6 +347,7 @@ class SoftwareMotor(Motor):
             velocity_max=model.velocity_max * size,
             following_error=behind * size,
             following_s=own.following_error_s,
+            stall_s=_STALL_S + _STALL_STOPS * model.velocity_max / model.deceleration,
             window=10.0 if own.position_window is None else own.position_window * size,
             velocity_window=0.02 * model.velocity_max * size + 0.5 / period_s,
             settle_s=own.settle_s,

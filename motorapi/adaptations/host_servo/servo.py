@@ -55,6 +55,8 @@ class ServoLimits:
             [inc/s].
         following_error: the largest error; exceeding it for `following_s` stops the motor [inc];
             inf: no limit.
+        stall_s: a set-point of position has no demand to follow; with such an error, it stops the
+            motor after this time without approach to its target [s].
         window: a position is reached within it, for `settle_s` [inc].
         velocity_window: a velocity is reached within it, for `settle_s` [inc/s].
         deceleration: the deceleration to rest if the course fails [inc/s²].
@@ -64,6 +66,7 @@ class ServoLimits:
     velocity_max: float
     following_error: float
     following_s: float
+    stall_s: float
     window: float
     velocity_window: float
     settle_s: float
@@ -76,6 +79,7 @@ _NO_LIMITS: Final = ServoLimits(
     velocity_max=0.0,
     following_error=inf,
     following_s=1.0,
+    stall_s=1.0,
     window=0.0,
     velocity_window=0.0,
     settle_s=1.0,
@@ -93,7 +97,8 @@ class Servo:
         current_a: the current demand of the amplifier [A].
         course: the active course; None: no control, no current.
         is_done: whether the course has come to its end, and the motor with it.
-        lags: whether the following error exceeds its limit for too long.
+        lags: whether the following error exceeds its limit for too long, of a set-point without
+            approach to its target.
         error: an error of the demand itself, or None.
     """
 
@@ -119,6 +124,7 @@ class Servo:
         self._settled = 0
         self._still = (0.0, 0)  # position of standstill, and its duration in cycles
         self._behind = 0
+        self._farthest = 0.0  # error of a set-point since its last approach to the target
         self._gains = _NO_GAINS
         self._limits = _NO_LIMITS
         self._take(_NO_GAINS, _NO_LIMITS)
@@ -131,6 +137,7 @@ class Servo:
         self._alpha = period_s / (period_s + gains.derivative_filter_s)
         self._settle_cycles = max(1, round(limits.settle_s / period_s))
         self._following_cycles = max(1, round(limits.following_s / period_s))
+        self._stall_cycles = max(1, round(limits.stall_s / period_s))
         # A larger error is answered with velocity_max, where kd balances kp.
         self._error_max = limits.velocity_max * gains.kd / gains.kp if gains.kd > 0.0 else 1e300
 
@@ -161,6 +168,7 @@ class Servo:
         self.course = course
         self._begun = cycle
         self._settled = self._behind = 0
+        self._farthest = 0.0
         self._still = (self.position, 0)
         self.is_done = self.lags = False
 
@@ -327,13 +335,7 @@ class Servo:
     def _judge(self, course: Course) -> None:
         """Detect the end of the course, and a following error that lasts too long."""
         limits = self._limits
-        error = self._error
-        if not course.is_step and abs(error) > limits.following_error:
-            self._behind += 1
-            if self._behind >= self._following_cycles:
-                self.lags = True
-        else:
-            self._behind = 0
+        self._judge_following(course, abs(self._error))
         still = self._stands_still()
         if self.is_done or not course.is_over:
             return
@@ -348,6 +350,21 @@ class Servo:
             is_there = abs(course.target - self.position) <= limits.window
         self._settled = self._settled + 1 if is_there else 0
         self.is_done = self._settled >= self._settle_cycles
+
+    def _judge_following(self, course: Course, error: float) -> None:
+        """Detect an error above its limit for too long, in a set-point without any approach."""
+        limits = self._limits
+        allowed = self._following_cycles
+        approaches = False
+        if course.is_step:
+            allowed = self._stall_cycles
+            approaches = self.is_done or error < self._farthest - limits.window
+            self._farthest = error if approaches else max(self._farthest, error)
+        if approaches or error <= limits.following_error:
+            self._behind = 0
+            return
+        self._behind += 1
+        self.lags = self._behind >= allowed
 
     def _stands_still(self) -> bool:
         """Return whether the motor has not moved during the settling time."""

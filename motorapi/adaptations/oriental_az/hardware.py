@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 _BLOCK: Final = 0x0058
-_TRIGGER_AT: Final = 14  # in the block
 _INPUTS: Final = 0x007C
 _PULSED_INPUTS: Final = 0x0078
 _OUTPUTS: Final = 0x007E
@@ -50,6 +49,7 @@ _ABSOLUTE: Final = 1
 _CONTINUOUS: Final = 16
 _DECELERATE: Final = 0
 
+_M0: Final = 0x0001  # selects stored data, without effect of its own; power-on clears it
 _FREE: Final = 0x0040
 _RESET: Final = 0x0080
 _READY: Final = 0x0020
@@ -86,7 +86,6 @@ class OrientalAzHwMotor(PolledHardware):
         super().__init__(line, unit, runtime=runtime, timeout_s=timeout_s)
         self._is_enabled = False  # by us: the drive excites its motor at power-on without a command
         self._prepared: tuple[int, ...] = ()
-        self._told: tuple[tuple[int, ...], ...] = ()  # the drive holds one of these blocks
         self._deceleration = 1_000_000
         self._current = _FULL_CURRENT
         self._hz: int | None = None  # commanded; None: a position motion
@@ -112,9 +111,8 @@ class OrientalAzHwMotor(PolledHardware):
         return 1000.0 * b / a
 
     def _remembers(self) -> bool:
-        """Return whether the drive holds our last block; a loss of power clears it."""
-        held = tuple(self.registers.read(_BLOCK, _TRIGGER_AT))
-        return held in [block[:_TRIGGER_AT] for block in self._told]
+        """Return whether the drive was enabled since its power-on, which clears its inputs."""
+        return bool(self.registers.read_i32(_INPUTS) & _M0)
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -159,9 +157,9 @@ class OrientalAzHwMotor(PolledHardware):
     # --- power, fault, reference ------------------------------------------------------------------
 
     def enable(self) -> None:
-        """Switch the motor current on; the motor holds its position."""
+        """Switch the motor current on, with a mark; the motor holds its position."""
         self._quick_stopped = False
-        self.registers.write(_INPUTS, *words(0))
+        self.registers.write(_INPUTS, *words(_M0))
         end_ns = self.runtime.now_ns() + round(_RELEASE_S * 1e9)
         while not self.registers.read_i32(_OUTPUTS) & (_READY | _MOVE):
             if self.runtime.now_ns() >= end_ns:
@@ -235,17 +233,12 @@ class OrientalAzHwMotor(PolledHardware):
 
     def trigger(self) -> None:
         """Send the prepared motion, and start it by the same request."""
-        self._tell(self._prepared)
         self.registers.write(_BLOCK, *self._prepared)
-
-    def _tell(self, block: tuple[int, ...]) -> None:
-        self._told = (*self._told[-1:], block)  # the one before, in case this one is lost
 
     def _post_stop(self) -> Exchange:
         self._hz = None
         slower = self._deceleration
         block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, 1)
-        self._tell(block)
         return self.registers.post(_BLOCK, *block)
 
 

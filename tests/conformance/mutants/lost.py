@@ -166,6 +166,17 @@ def a_loss_is_taken_for_a_restart():
         yield
 
 
+@mutant("oriental_az", "LOST-05")
+def only_a_motion_proves_the_power():
+    """After a loss, a drive that was enabled, but never moved, is reported as disabled."""
+
+    def wrong(remembers):
+        return lambda hardware: hardware.progress.started_ns is not None and remembers(hardware)
+
+    with replaced(OrientalAzHwMotor, "_remembers", wrong):
+        yield
+
+
 @mutant("cia402", "LOST-09")
 def a_start_that_failed_is_tried_again_in_the_background():
     """A start that failed because of a lost drive is repeated when the drive is heard again."""

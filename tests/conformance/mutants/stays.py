@@ -25,4 +25,13 @@ WHY_IT_STAYS: dict[str, str] = {
     "LOST-09": "HEAR-01 loses answers only; this one any frame of a move, one by one",
     "HEAR-03": "LOST-04 and LOST-09 lose a motion, this one a motor at rest",
     "BUS-02": "noise strikes at random, and duplicates frames that no other clause duplicates",
+    "MEAS-04": "MEAS-05 meets old positions after a push; this one reads during a motion",
+    "MEAS-05": "a wrong place also breaks later motions; this clause names the mistake",
+    "LOW-03": "LOW-01 sees its mutant, too; this one loses all settings of the drive",
+    "STOP-10": "SYNC-09 stops from a callback, too; this one makes every kind of stop there",
+    "STOP-11": "its mutants also break SET-04, or STOP-04 and STOP-06; this one names the mistakes",
+    "HEAR-04": "HEAR-02 and LOST-01 see long retries, too; this one has the timeout of a wait",
+    "SHARE-12": "SHARE-11's state machine sees it by chance; this clause names the mistake",
+    "SHARE-13": "likewise, requests of several threads",
+    "SYNC-12": "SYNC-07 refuses by a requirement of the group; this one by a single member",
 }

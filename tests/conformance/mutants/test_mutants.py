@@ -6,6 +6,7 @@ from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES
+from tests.conformance.mutants.stays import WHY_IT_STAYS
 from tests.support.kit_benches import opener
 
 assert MODULES
@@ -20,3 +21,8 @@ def test_mutant_is_killed_by_its_clause(name, clause):
     with mutant.plant():
         verdict = run_clause(all_clauses()[clause], opener(mutant.kind))
     assert not verdict.result.is_good, f"{clause} let through: {mutant.mistake}"
+
+
+def test_every_clause_has_a_mutant_or_a_reason():
+    killers = {clause for one in MUTANTS.values() for clause in one.killers}
+    assert set(all_clauses()) == killers | set(WHY_IT_STAYS)

@@ -1,17 +1,23 @@
 """Failures of central servo: missed cycles, lost nodes, hosts, amplifiers."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.canopen.link import can_frame
+from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.software_rigs import (
     INC_PER_RAD,
+    INERTIA_A_S2_RAD,
+    WHEEL,
+    commanded,
+    enabled,
     inc,
     lag_bound_inc,
     motor,
@@ -348,6 +354,37 @@ def test_blocked_motor_is_stopped_by_following_error(open_rig: OpenRig):
     left.set_trajectory(TrapezoidalTrajectory(0.1))
     left.start()
     left.wait_until_done(2)
+
+
+def test_set_point_whose_outputs_are_lost_fails(open_rig: OpenRig):
+    for at_s in (0.0, 0.05, 0.2):  # before it moves, as it accelerates, and at its velocity
+        with open_rig(one()) as rig:
+            left = enabled(rig)
+            rule = FaultRule("lost", FaultKind.DROP, identifier=0x301)
+            if not at_s:
+                rig.faults.inject("can0", rule)
+            commanded(left, ControlMode.SETPOINT, ControlVariable.POSITION, 1.0)
+            if at_s:
+                rig.runtime.run_for(at_s)
+                rig.faults.inject("can0", rule)
+            with pytest.raises(DeviceFault, match=r"8611h \(following error: -?\d+ increments\)"):
+                left.wait_until_done(30)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.5, -0.5, -0.9])
+def test_set_point_with_a_heavy_load_is_reached(open_rig: OpenRig, share: float):
+    """The plant is far slower than the plan, but its servo is tuned for it."""
+    heavy = "[controller.io.plant]\npreset = 'wheel_60w'\nload_inertia_kg_m2 = 3.0\n"
+    inertia = INERTIA_A_S2_RAD * replace(WHEEL, load_inertia_kg_m2=3.0).inertia_kg_m2()
+    with open_rig(one(inertia=inertia / WHEEL.inertia_kg_m2(), bandwidth=10.0), heavy) as rig:
+        left = enabled(rig)
+        rig.controllers["io"].stimulate("load_torque_n_m", share * 13.0)  # the motor has 13.7 N m
+        rig.runtime.run_for(0.5)
+        commanded(left, ControlMode.SETPOINT, ControlVariable.POSITION, 3.0)
+        rig.runtime.run_for(0.7)
+        commanded(left, ControlMode.SETPOINT, ControlVariable.POSITION, -1.0)  # it must reverse
+        left.wait_until_done(60)
+        assert left.position() == pytest.approx(-1.0, abs=10 / INC_PER_RAD)
 
 
 def test_blocked_motor_without_window_keeps_pushing(open_rig: OpenRig):

@@ -33,6 +33,7 @@ LIMITS = ServoLimits(
     velocity_max=60_000.0,
     following_error=inf,
     following_s=0.01,
+    stall_s=0.1,
     window=10.0,
     velocity_window=500.0,
     settle_s=0.02,
@@ -331,6 +332,32 @@ def test_following_error_counts_if_it_lasts_but_not_in_a_step():
     servo.begin(Course(POSITION, 9999.0, is_step=True), GAINS, bounds, 20)
     for cycle in range(21, 100):
         servo.step(51, cycle)
+    assert not servo.lags
+
+
+@pytest.mark.parametrize("approach", [10, 11])
+def test_set_point_without_approach_fails_after_its_time(approach: int):
+    """An approach by more than the window of 10 increments begins the time anew."""
+    servo = Servo(T)
+    servo.step(0, 0)
+    servo.begin(Course(POSITION, 9999.0, is_step=True), GAINS, limits(following_error=50.0), 0)
+    lags = []
+    for cycle in range(1, 201):
+        servo.step(approach if cycle > 50 else 0, cycle)
+        lags.append(servo.lags)
+    assert lags.index(True) + 1 == (100 if approach == 10 else 151)
+
+
+def test_set_point_that_was_reached_does_not_fail_later():
+    servo = Servo(T)
+    servo.step(0, 0)
+    bounds = limits(following_error=50.0)
+    servo.begin(Course(POSITION, 0.0, is_step=True), GAINS, bounds, 0)
+    for cycle in range(1, 30):
+        servo.step(0, cycle)
+    assert servo.is_done
+    for cycle in range(30, 300):
+        servo.step(1000, cycle)
     assert not servo.lags
 
 

@@ -13,6 +13,7 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    FaultReaction,
     MotorGroup,
     MotorPosition,
     MotorState,
@@ -380,6 +381,23 @@ def test_drives_on_one_line_start_in_sequence_and_report_it(adaptation):
         quality = pair.sync_quality()
         assert quality.start_skew_s is not None
         assert 0.001 < quality.start_skew_s < 0.1
+
+
+def test_group_reacts_while_a_party_waits_for_it(adaptation):
+    with opened(text(adaptation, names=("pan", "tilt"))) as rig:
+        pair = MotorGroup(rig.motors["pan"], rig.motors["tilt"])
+        pair.for_each(lambda motor: motor.set_control_mode(ControlMode.TRAJECTORY))
+        pair.set_trajectory(TrapezoidalTrajectory(4.0), TrapezoidalTrajectory(-4.0))
+        pair.fault_reaction = FaultReaction.EACH
+        pair.start()
+        party = rig.runtime.spawn("watch", pair.wait_until_done)
+        run_s(rig, 0.8)
+        rig.controllers["pan"].stimulate("alarm", 0x10)
+        run_s(rig, 3.0)  # this caller neither waits for the group nor reads it
+        assert not truth(rig, "tilt")["velocity_rad_s"]
+        assert -2.0 < truth(rig, "tilt")["position_rad"] < -0.5
+        assert party.join(1.0)
+        assert isinstance(party.error, DeviceFault)
 
 
 def test_missing_gear_ratio_in_the_model_is_reported():

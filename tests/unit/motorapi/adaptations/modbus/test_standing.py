@@ -13,6 +13,8 @@ COARSER = {"leadshine": (0x0001, (5000,)), "oriental_az": (0x0380, (0, 2))}
 QUICK_RAMP = 0x6017
 ONE_IS_LOST = SerialFaultRule("lost", SerialFaultKind.LOSE, sender="mast", limit=1)
 
+LINE_IS_LOST = SerialFaultRule("lost", SerialFaultKind.LOSE, sender="mast")
+
 
 @pytest.fixture(params=list(ADAPTATIONS))
 def adaptation(request):
@@ -110,6 +112,18 @@ def test_drive_after_a_lost_answer_is_still_enabled(rig):
     assert mast.state() is MotorState.ENABLED
     go_to(mast, 0.2)
     assert truth(rig)["position_rad"] == pytest.approx(0.2, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("has_moved", [True, False])
+def test_drive_after_a_lost_line_is_still_enabled(rig, has_moved):
+    mast = rig.motors["mast"]
+    mast.enable()
+    if has_moved:
+        go_to(mast, 0.1)
+    rig.faults.inject("line", LINE_IS_LOST)
+    assert mast.state() is MotorState.OFFLINE
+    rig.faults.lift("line", LINE_IS_LOST.name)
+    assert mast.state() is MotorState.ENABLED
 
 
 @pytest.mark.parametrize("adaptation", ["leadshine"])
