@@ -84,6 +84,7 @@ class TakeoverAttempt:
         self._file: Final = file
         self._now_ns: Final = now_ns
         self._describe: Final = describe
+        self._first_byte = 0  # locked by the holder; a lower one once it publishes its token
         self._lease: Final = LEASE.pack(lease_ns, lease_end_ns)
         self.token: int = 0
         self.lost: int = 0
@@ -121,6 +122,7 @@ class TakeoverAttempt:
         found = find(file.fd, fcntl.F_RDLCK, held, 1)
         if found is None:
             return Attempt.FREE
+        self._first_byte = found[0]
         told = held - found[0]
         if self._now_ns is not None and (
             line.is_new or told != line.token or not 0 < line.lease_end_ns <= self._now_ns
@@ -154,12 +156,18 @@ class TakeoverAttempt:
         return Attempt.TAKEN
 
     def _base_behind(self, old: int) -> int:
-        """Return the first place behind that of the holder, if it has one."""
+        """Return the first place behind that of the holder, if it has one.
+
+        A holder releases all at once: if it has not done so by now, the first place was its own.
+        """
         file = self._file
         if find(file.fd, fcntl.F_RDLCK, held_at(old) + 1, 1) is not None:
             return file.base
         places = first_places(file.fd, PLACES + file.base, 1 << 63)
-        return max([file.base, *(place + 1 for place in places[:1])])
+        still = find(file.fd, fcntl.F_RDLCK, held_at(old), 1)
+        if not places or still is None or still[0] > self._first_byte:
+            return file.base
+        return max(file.base, places[0] + 1)
 
     def _lock(self, held: int) -> bool:
         try:

@@ -9,6 +9,7 @@ import pytest
 
 from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.lock_file import LockFile
 from motorhil.motorapi.locking.process_lock import ProcessLock
 
 PATIENCE_S = 60.0
@@ -166,3 +167,29 @@ def test_takeover_of_a_paused_acquisition_has_own_token(tmp_path, is_killed, is_
         return was_first, was_second
 
     assert all_pauses(schedule, tmp_path) > 100
+
+
+def test_release_in_a_takeover_keeps_the_order_of_the_queue(tmp_path):
+    """The holder came from the queue: a takeover moves the queue on past its place, if any."""
+
+    def schedule(path, first, second):
+        directory = LockDirectory(path)
+        before = ProcessLock("pan", "the pan", directory).acquire(Turns(), "before")
+        holder, one, two = (LockFile(directory, "pan") for _ in range(3))
+        places = [file.queue_up() for file in (holder, one, two)]
+        before.release()
+        assert holder.take(places[0])
+        taker = Program(path, take_over=True)
+        was_first = taker.advance(first)
+        holder.let_go()
+        taker.advance()
+        taker.hold.release()
+        for file in (one, two):
+            file.look_up()
+        assert not two.take(places[2]), f"overtaken after {first} steps"
+        assert one.take(places[1])
+        for file in (holder, one, two):
+            file.close()
+        return was_first, False
+
+    assert all_pauses(schedule, tmp_path) > 10
