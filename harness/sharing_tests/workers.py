@@ -38,7 +38,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
 )
 from motorhil.motorapi.locking.directory import LockDirectory
-from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
 from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.runtime.wall import WallRuntime
@@ -148,7 +148,7 @@ def work_lock(desk: Desk) -> None:
         desk.note_inside(True)
         for number in range(commands):
             desk.spend(desk.fact("inside_s", 50e-6) / commands)
-            _command(desk, lock, turn * 1_000_000 + number * 1000 + desk.number % 1000)
+            _command(desk, lock, hold, turn * 1_000_000 + number * 1000 + desk.number % 1000)
         desk.note_inside(False)
         give = desk.history.call(desk.name, "lock", Action.GIVE)
         is_lost = hold.lost_to is not None
@@ -158,12 +158,13 @@ def work_lock(desk: Desk) -> None:
         give.returned(Answer.LOST if is_lost else unsure)
 
 
-def _command(desk: Desk, lock: ProcessLock, value: int) -> None:
+def _command(desk: Desk, lock: ProcessLock, hold: LockHandle, value: int) -> None:
     command = desk.history.call(desk.name, "lock", Action.COMMAND, value=value)
     try:
         lock.begin_write()
     except MotorBusyError:
-        command.returned(Answer.LOST)
+        # A takeover that never ends, as its process was paused or killed, takes nothing away.
+        command.returned(Answer.UNKNOWN if hold.lost_to is None else Answer.LOST)
         return
     desk.value = value
     lock.end_write()
