@@ -31,6 +31,7 @@ from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
 from motorhil.traces.decoding.narrative import Line
 from motorhil.traces.decoding.objects import ObjectNames
+from motorhil.traces.errors import TraceError
 from motorhil.traces.exchange.host import (
     ANSWER,
     HostSide,
@@ -61,6 +62,8 @@ if TYPE_CHECKING:
 
 PITCH_NS: Final = 1_000_000
 """The distance of recorded frames without time stamps [ns]."""
+PAUSE_MAX_NS: Final = 86_400 * 1_000_000_000
+"""The longest pause of a host that is replayed [ns]."""
 PATIENCE_NS: Final = 2_000_000_000
 _NEVER_NS: Final = 1 << 62
 _RESET_ALL: Final = classic(0, b"\x81\x00")
@@ -432,9 +435,10 @@ def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterato
         notes: list of remarks to which changes are added.
 
     Raises:
-        TraceError: the recording cannot be read.
+        TraceError: the recording cannot be read, or has a pause of more than a day.
     """
     with read_trace(recording) as trace:
+        _require_short_pauses(trace, recording)
         topics = {channel.topic for channel in trace.channels.values()}
         recorded = sorted(one for one in topics if one.startswith("/can/"))
         span_ns = trace.span_ns()
@@ -461,6 +465,21 @@ def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterato
             with TraceWriter(target, trace.metadata) as writer:
                 _copy(trace, writer, renamed, pitch_ns)
             yield target
+
+
+def _require_short_pauses(trace: Trace, recording: Path) -> None:
+    """Raise TraceError for a pause that no host makes: it would be waited for, for ever."""
+    before_ns = None
+    for place, (_, time_ns, _) in enumerate(trace.messages()):
+        if before_ns is not None and time_ns - before_ns > PAUSE_MAX_NS:
+            pause_s, most_s = (time_ns - before_ns) / 1e9, PAUSE_MAX_NS / 1e9
+            raise TraceError(
+                f"{recording}",
+                f"message {place + 1} is {pause_s:.6g} s after the one before it;"
+                f" expected at most {most_s:g} s",
+                remedy="correct its time stamp, or replay a part by --from and --to",
+            )
+        before_ns = time_ns
 
 
 def _copy(trace: Trace, writer: TraceWriter, renamed: Mapping[str, str], pitch_ns: int) -> None:

@@ -84,7 +84,7 @@ class EmulatedBench(_Bench):
             self.runtime: Runtime = self._rig.runtime
             self._rig.world.queue.alarm(self._time_is_up).set(round(limit_s * 1e9))
             client = Client(self._rig.bus(described.bus), self.runtime, node_of(described))
-            self.drive = self._meet(cleanup, client, described)
+            self.drive: Drive = self._meet(cleanup, client, described)
             self._cleanup = cleanup.pop_all()
 
     def _time_is_up(self, now_ns: int) -> None:
@@ -152,7 +152,7 @@ class RealBench(_Bench):
                 writer = cleanup.enter_context(TraceWriter(record))
                 record_bus(writer, process_runtime(), described.bus, bus)
             client = Client(bus, self.runtime, node_of(described))
-            self.drive = self._meet(cleanup, client, described)
+            self.drive: Drive = self._meet(cleanup, client, described)
             cleanup.callback(self.drive.leave)
             self._cleanup = cleanup.pop_all()
 

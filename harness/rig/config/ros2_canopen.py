@@ -87,7 +87,7 @@ class BusFileError(RigError):
         first = errors[0]
         told = first.file, first.message, first.remedy
         super().__init__(*told, line=first.line, key=first.key)
-        self.args = ("\n".join(map(str, errors)),)
+        self.args: tuple[str] = ("\n".join(map(str, errors)),)
 
 
 @final

@@ -132,6 +132,17 @@ def test_as_host_with_missing_drive_reports_it(folder, say):
     assert "waited in vain: right (2) has booted" in out
 
 
+def test_as_host_refuses_a_pause_of_years(folder, say):
+    """It would be waited for, with all heartbeats of the devices meanwhile."""
+    (folder / "gap.log").write_text(
+        "(0.1) can0 601#4000100000000000\n(4000000000.0) can0 601#4018100100000000\n"
+    )
+    rig = other_rig(folder, ("wheel_60w", "wheel_60w"))
+    status, _, err = say("replay", "gap.log", "--as", "host", "--rig", rig)
+    assert status == 2
+    assert "message 2 is 4e+09 s after the one before it; expected at most 86400 s" in err
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
