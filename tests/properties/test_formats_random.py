@@ -44,8 +44,8 @@ def contents(draw, holds):
         size = draw(st.sampled_from(can_frame.FD_LENGTHS))
         data = draw(st.binary(min_size=size, max_size=size))
         return flexible(draw(identifiers()), draw(st.integers(0, 3)), data)
-    if kind == "ERROR_FRAMES":  # Linux has 8 bytes in each
-        told = draw(st.integers(0, can_frame.EFF_MASK))
+    if kind == "ERROR_FRAMES":  # Linux has 8 bytes in each, and names a class at least
+        told = draw(st.integers(1, can_frame.EFF_MASK))
         return classic(told | can_frame.ERR, draw(st.binary(min_size=8, max_size=8)))
     return classic(draw(identifiers()), draw(st.binary(max_size=8)))
 
