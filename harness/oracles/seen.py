@@ -1,4 +1,4 @@
-"""What a recording shows of faults, limits and alarms, beside the verdict of the oracles.
+"""Faults, limits and alarms in a recording, beside the verdict of the oracles.
 
 A drive that reports its fault by the rules keeps every promise: the recording is sound, and yet
 something was wrong. Equal incidents of one place are counted, so memory does not grow with time.
@@ -53,7 +53,7 @@ class Incident:
 @final
 @dataclass(slots=True)
 class Seen:
-    """What a judgement saw, filled by `judge`.
+    """The facts that a judgement saw, filled by `judge`.
 
     Attributes:
         incidents: in the order of their first time.

@@ -22,7 +22,7 @@ _LONG_NS: Final = 3600 * 10**9
 
 @final
 class Standstill:
-    """What is known of a run's progress.
+    """The progress of a run, as far as it is known.
 
     Args:
         runtime: the run's.

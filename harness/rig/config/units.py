@@ -30,7 +30,7 @@ _TURN_RAD: Final = 2.0 * pi
 @final
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What motor and drive make of one quantity.
+    """One quantity, as motor and drive interpret it.
 
     Attributes:
         quantity, unit: its name, and the unit of both figures.

@@ -484,7 +484,7 @@ def test_effort_ends_an_analysis_without_false_bounds():
 
 
 def test_search_ended_early_proves_nothing():
-    """That no order of identifiers helps must not be claimed without having seen it."""
+    """A search that ended early must not claim that no order of identifiers helps."""
     messages = tuple(Message(n, 8, 3 * MS, deadline_ns=1 * MS + n) for n in range(1, 11))
     load = BusLoad("can0", 500_000, messages)
     assert propose(load, NO_ERRORS, reserves_nothing).is_impossible

@@ -133,7 +133,7 @@ def test_as_host_with_missing_drive_reports_it(folder, say):
 
 
 def test_as_host_refuses_a_pause_of_years(folder, say):
-    """It would be waited for, with all heartbeats of the devices meanwhile."""
+    """Replay would wait for its end, with all heartbeats of the devices meanwhile."""
     (folder / "gap.log").write_text(
         "(0.1) can0 601#4000100000000000\n(4000000000.0) can0 601#4018100100000000\n"
     )

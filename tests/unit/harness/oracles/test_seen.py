@@ -1,4 +1,4 @@
-"""What `motorhil judge` says beside its verdict: faults, limits and alarms of a sound recording."""
+"""Faults, limits and alarms of a sound recording, which `motorhil judge` reports."""
 
 import json
 

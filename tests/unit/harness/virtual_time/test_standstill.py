@@ -1,4 +1,4 @@
-"""What a run that does not come forward is told."""
+"""Messages about a run that makes no progress."""
 
 import threading
 

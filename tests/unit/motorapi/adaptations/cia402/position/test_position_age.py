@@ -117,7 +117,7 @@ def test_statusword_without_position_shows_no_standstill(rig: Rig):
 
 @pytest.mark.parametrize("times", [1, 1000])
 def test_position_that_is_not_mapped_is_read_by_sdo(rig: Rig, times: int):
-    """Whether the drive refuses to map 6064h, or aborts once while its PDOs are set up."""
+    """The drive refuses to map 6064h, or aborts once while its PDOs are set up."""
     motor = motor_of(rig)
     sdo = motor.hardware.node.sdo
     download = sdo.download
