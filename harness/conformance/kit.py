@@ -12,17 +12,17 @@ from motorhil.harness.conformance.clause import Clause, Level, registered
 
 _MODULES: Final = (
     "identity",
-    "measurements",
-    "setpoints",
-    "trajectories",
-    "starting",
-    "limits",
-    "stopping",
-    "faults",
+    "motion.measurements",
+    "motion.setpoints",
+    "motion.trajectories",
+    "motion.starting",
+    "motion.limits",
+    "motion.stopping",
+    "failures.faults",
     "sharing",
     "groups",
-    "communication_loss",
-    "bus_errors",
+    "failures.communication_loss",
+    "failures.bus_errors",
 )
 """The modules of `motorhil.harness.conformance.clauses`, one for each topic."""
 _HEAD: Final = """\

@@ -55,7 +55,7 @@ def test_every_capability_and_ability_is_used_by_a_clause():
     folder = Path(motorhil.harness.conformance.clauses.__file__).parent
     named = {  # where a clause itself tests each mode
         match
-        for file in folder.glob("*.py")
+        for file in folder.rglob("*.py")
         for match in re.findall(r"(?:Capability|Ability)\.([A-Z_]+)", file.read_text())
     }
     for one in (*Capability, *Ability):

@@ -1,0 +1,1 @@
+"""Clauses on motors and buses that fail."""
