@@ -72,14 +72,20 @@ def pack_fd(can_id: int, data: bytes = b"", flags: int = BRS) -> bytes:
     return _FD_FRAME.pack(can_id, len(data), flags | FDF, data)
 
 
-def padded_fd(frame: bytes) -> bytes:
-    """Return a canfd_frame as the driver of a CAN controller sends it.
+def as_driven(frame: bytes) -> bytes:
+    """Return a can_frame or canfd_frame from outside as the driver of a CAN controller sends it.
 
-    FDF is set, unknown flags are cleared, and the data are padded with 0 to one of the FD_LENGTHS.
+    Padding and unknown flags are cleared: python-can leaves the DLC in `len8_dlc`. In CAN FD, FDF
+    is set, and the data are padded with 0 to one of the FD_LENGTHS.
 
     Raises:
-        ValueError: the frame cannot be sent, as for `pack_fd`.
+        ValueError: the frame cannot be sent, as for `pack` and `pack_fd`.
     """
+    if len(frame) == FRAME_BYTES:
+        length = frame[4]
+        if frame[3] & 0x40:
+            return pack_remote(can_id_of(frame) & ~RTR_FLAG, length)
+        return pack(can_id_of(frame), frame[8 : 8 + length].ljust(length, b"\0"))
     length = min((one for one in FD_LENGTHS if one >= frame[4]), default=frame[4])
     data = frame[8 : 8 + frame[4]]
     return pack_fd(can_id_of(frame), data.ljust(length, b"\0"), frame[5] & (BRS | ESI))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
+from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, as_driven
 from motorhil.emulators.gateways.loop import Source
 from motorhil.emulators.simulation.endpoints import HostPort
 from motorhil.emulators.simulation.ownership_notice import (
@@ -132,7 +132,7 @@ class _Client:
                 self._note(port.name, notice)
         if frame:
             try:
-                port.send(frame if len(frame) == FRAME_BYTES else padded_fd(frame))
+                port.send(as_driven(frame))
             except ValueError as error:  # a frame that no bus can carry
                 self.refuse(f"frame {frame.hex()}: {error}")
                 return False

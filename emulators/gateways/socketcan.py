@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final, final
 
-from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, padded_fd
+from motorhil.emulators.can.frame import FD_FRAME_BYTES, as_driven
 from motorhil.emulators.gateways.loop import Source
 from motorhil.emulators.simulation.world import World
 
@@ -162,7 +162,7 @@ class SocketCanGateway:
             while True:
                 frame = self._socket.recv(FD_FRAME_BYTES)
                 try:
-                    self._port.send(frame if len(frame) == FRAME_BYTES else padded_fd(frame))
+                    self._port.send(as_driven(frame))
                 except ValueError as error:
                     self._ignore(str(error))
 

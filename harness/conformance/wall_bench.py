@@ -253,7 +253,7 @@ class WallBench:
         described, where = self._description.buses[bus], self._places[bus]
         try:
             if not described.is_line:
-                opened = bus_at(bus, where)
+                opened = bus_at(bus, where, fd=described.data_bitrate_bit_s is not None)
                 cleanup.callback(opened.shutdown)
                 return opened
             line = self._line_at(bus, where)
@@ -286,6 +286,8 @@ class WallBench:
 
 def record_bus(writer: TraceWriter, runtime: WallRuntime, bus: str, link: "can.BusABC") -> None:
     """Record all frames of a CAN bus from now on."""
+    from can import CanProtocol
+
     channel = writer.channel(f"/can/{bus}", Schema.of(CAN_FRAME))
     received = writer.source(channel, "", Direction.RECEIVED)
     sent = writer.source(channel, "host", Direction.TRANSMITTED)
@@ -293,7 +295,7 @@ def record_bus(writer: TraceWriter, runtime: WallRuntime, bus: str, link: "can.B
     def record_frame(frame: bytes, time_ns: int, transmitted: bool) -> None:
         writer.can_frame(sent if transmitted else received, time_ns, frame)
 
-    runtime.listen(link, record_frame)
+    runtime.listen(link, record_frame, fd=link.protocol is not CanProtocol.CAN_20)
 
 
 def _without_fault(motor: Motor) -> None:
@@ -301,8 +303,8 @@ def _without_fault(motor: Motor) -> None:
         motor.reset_fault()
 
 
-def bus_at(bus: str, where: str) -> "can.BusABC":
-    """Open the CAN bus at a place.
+def bus_at(bus: str, where: str, *, fd: bool = False) -> "can.BusABC":
+    """Open the CAN bus at a place; `fd`: for CAN FD.
 
     Raises:
         RigError: it cannot be opened.
@@ -310,7 +312,7 @@ def bus_at(bus: str, where: str) -> "can.BusABC":
     try:
         place = parse_place(f"{bus}={where}")
         interface = _INTERFACES.get(place.kind, place.interface)
-        return open_bus(replace(place, interface=interface), {})
+        return open_bus(replace(place, interface=interface), {"fd": True} if fd else {})
     except PlaceError as error:
         text = str(error).removeprefix(f"--on {bus}={where}: ")
         raise RigError(f"--on {bus}={where}", text) from None

@@ -215,15 +215,19 @@ class EmulatedBus(can.BusABC):
         super().__init__(channel=self.channel, can_filters=can_filters, **kwargs)
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
 
-    # --- interface of the motor interface (16-byte frames) ----------------------------------
+    # --- interface of the motor interface (Linux frames) --------------------------------------
 
-    def subscribe(self, on_frame: "FrameListener") -> "Registration":
-        """Call `on_frame` for every frame; stop queueing for `recv` unless `recv` has been used."""
+    def subscribe(self, on_frame: "FrameListener", fd: bool = False) -> "Registration":
+        """Call `on_frame` for every frame, for CAN FD frames with fd=True only.
+
+        Unless `recv` has been used, nothing is queued for it any more.
+        """
         self._check_open()
         if not self._has_received:
             self._queue.keeps = False
             self._queue.backlog.clear()
-        return _Subscription(self._queue.listeners, on_frame)
+        queue = self._queue
+        return _Subscription(queue.fd_listeners if fd else queue.listeners, on_frame)
 
     @property
     def hub_bus(self) -> tuple[str, str] | None:

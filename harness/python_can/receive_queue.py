@@ -18,7 +18,8 @@ class ReceiveQueue:
     """A receive queue that also passes frames to listeners.
 
     Attributes:
-        listeners: callbacks for every frame, in the order of subscription.
+        listeners: callbacks for every classical frame, in the order of subscription.
+        fd_listeners: callbacks for every frame, called after those.
         backlog: unread (frame, time [ns], transmitted), oldest first.
         keeps: True if frames are queued at all.
         dropped: number of unread frames that were discarded, oldest first.
@@ -30,9 +31,10 @@ class ReceiveQueue:
         Args:
             own: True to queue frames that this connection transmitted itself as well.
             backlog_max: maximum number of queued frames; beyond it the oldest one is dropped.
-            fd: True to queue CAN FD frames as well. Listeners get classical frames only.
+            fd: True to queue CAN FD frames as well.
         """
         self.listeners: list[FrameListener] = []
+        self.fd_listeners: list[FrameListener] = []
         self.backlog: deque[tuple[bytes, int, bool]] = deque()
         self.keeps = True
         self.dropped: int = 0
@@ -47,6 +49,8 @@ class ReceiveQueue:
                 listener(frame, time_ns, transmitted)
         elif not self._fd:
             return
+        for listener in self.fd_listeners:
+            listener(frame, time_ns, transmitted)
         if self.keeps and (self._own or not transmitted):
             if len(self.backlog) >= self._backlog_max:
                 self.backlog.popleft()

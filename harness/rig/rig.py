@@ -713,7 +713,7 @@ class Rig:
     def _bus(self, name: str) -> "EmulatedBus":
         from motorhil.harness.python_can.bus import EmulatedBus
 
-        bus = EmulatedBus(channel=name)
+        bus = EmulatedBus(name, fd=self.world.bus(name).data_bitrate_bit_s is not None)
         self._in_use.callback(bus.shutdown)
         declare_traffic(bus, traffic_of(self.description, name))
         return bus

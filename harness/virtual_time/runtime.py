@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final, Protocol, final
 from motorhil.emulators.simulation.event_queue import UNSET, Alarm, EventQueue
 from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import UsageError
+from motorhil.motorapi.runtime.can_sources import CAN_FRAME_BYTES, require_fd
 
 if TYPE_CHECKING:
     import can
@@ -132,7 +133,7 @@ class Periodic:
 class _Port(Protocol):
     """Interface of a bus of this rig (EmulatedBus)."""
 
-    def subscribe(self, on_frame: "FrameListener") -> "Registration": ...
+    def subscribe(self, on_frame: "FrameListener", fd: bool = False) -> "Registration": ...
     def transmit(self, frame: bytes) -> None: ...
 
 
@@ -228,12 +229,28 @@ class VirtualRuntime:
         self.enrol(party)
         return party
 
-    def listen(self, bus: "can.BusABC", on_frame: "FrameListener") -> "Registration":
-        """Call `on_frame` for every frame on `bus`; own frames count when they were transmitted."""
-        return _port_of(bus).subscribe(on_frame)
+    def listen(
+        self, bus: "can.BusABC", on_frame: "FrameListener", *, fd: bool = False
+    ) -> "Registration":
+        """Call `on_frame` for every frame on `bus`; own frames count when they were transmitted.
+
+        Raises:
+            UsageError: fd=True, and the bus object was opened for classical CAN.
+        """
+        port = _port_of(bus)
+        if not fd:
+            return port.subscribe(on_frame)
+        require_fd(bus)
+        return port.subscribe(on_frame, fd=True)
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
-        """Queue the can_frame (16 bytes) for transmission on `bus`."""
+        """Queue the can_frame or canfd_frame for transmission on `bus`.
+
+        Raises:
+            UsageError: a canfd_frame, and the bus object was opened for classical CAN.
+        """
+        if len(frame) != CAN_FRAME_BYTES:
+            require_fd(bus)
         transmit = getattr(bus, "transmit", None)
         if transmit is None:
             transmit = _port_of(bus).transmit

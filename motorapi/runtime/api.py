@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     import can
 
 FrameListener = Callable[[bytes, int, bool], None]
-"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes, the time when it was complete on
-the bus, and True if this bus object sent it, so that it is known to have been on the wire. Error
-messages of the CAN controller of the bus arrive here too, as frames with ERR_FLAG in their
-identifier; `motorhil.motorapi.runtime.can_sources` decodes them. They are not bus traffic.
+"""(frame, time_ns, transmitted): a Linux can_frame of 16 bytes or a canfd_frame of 72 bytes, the
+time when it was complete on the bus, and True if this bus object sent it, so that it is known to
+have been on the wire. Error messages of the CAN controller of the bus arrive here too, as frames
+with ERR_FLAG in their identifier; `motorhil.motorapi.runtime.can_sources` decodes them. They are
+not bus traffic.
 """
 
 
@@ -61,11 +62,24 @@ class Runtime(Protocol):
     def spawn(self, name: str, function: Callable[[], None]) -> Party:
         """Run `function` as a further party of the application, which may wait."""
 
-    def listen(self, bus: "can.BusABC", on_frame: FrameListener) -> Registration:
-        """Call `on_frame` for every frame on `bus`, for own frames after their transmission."""
+    def listen(
+        self, bus: "can.BusABC", on_frame: FrameListener, *, fd: bool = False
+    ) -> Registration:
+        """Call `on_frame` for every frame on `bus`, for own frames after their transmission.
+
+        CAN FD frames arrive with fd=True only.
+
+        Raises:
+            UsageError: fd=True, and the bus object was opened for classical CAN.
+        """
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
-        """Queue a can_frame on `bus`; `listen` reports its transmission."""
+        """Queue a can_frame or canfd_frame on `bus`; `listen` reports its transmission.
+
+        Raises:
+            LinkError: the bus does not accept the frame.
+            UsageError: a canfd_frame, and the bus object was opened for classical CAN.
+        """
 
 
 def wait_until(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None = None) -> bool:

@@ -2,7 +2,8 @@
 
 There is one kind of frame source per kind of python-can bus.
 
-A source yields Linux can_frame bytes and distinguishes own frames from others:
+A source yields Linux can_frame bytes, or canfd_frame bytes if the bus object was opened for CAN FD,
+and distinguishes own frames from others:
 
 - SocketCAN: the socket is read directly. The kernel returns own frames once they are on the wire
   (CAN_RAW_RECV_OWN_MSGS) and marks them with MSG_CONFIRM. This is exact; `is_rx` of python-can is
@@ -40,10 +41,15 @@ if TYPE_CHECKING:
     import can
 
 Heard = tuple[bytes, int, bool]
-"""(can_frame, its age [ns], True for an own frame that was transmitted)."""
+"""(can_frame or canfd_frame, its age [ns], True for an own frame that was transmitted)."""
 
+CAN_FRAME_BYTES: Final = 16
 _FRAME: Final = struct.Struct("<IB3x8s")
-_FRAME_SIZE: Final = 16
+_FD_FRAME: Final = struct.Struct("<IBB2x64s")
+_FD_FRAME_BYTES: Final = 72
+_BRS: Final = 0x01  # flags of a canfd_frame, as in linux/can.h
+_ESI: Final = 0x02
+_FDF: Final = 0x04  # not every driver sets it
 _NEVER_NS: Final = -1
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
@@ -57,7 +63,6 @@ _SOL_CAN_RAW: Final = 101
 _CAN_RAW_RECV_OWN_MSGS: Final = 4
 _SCM_TIMESTAMPNS: Final = 35
 _MSG_CONFIRM: Final = 0x800
-_FD_FRAME_SIZE: Final = 72
 _QUEUE_FULL_S: Final = 0.1
 _QUEUE_PAUSE_S: Final = 0.0005
 _TIMESPEC: Final = struct.Struct("@ll")
@@ -111,6 +116,21 @@ def source_of(bus: "can.BusABC") -> FrameSource:
     if one_channel and isinstance(raw, socket.socket) and raw.family == _AF_CAN:
         return _SocketCanSource(bus, raw)
     return _MessageSource(bus)
+
+
+def require_fd(bus: "can.BusABC") -> None:
+    """Check that this bus object was opened for CAN FD.
+
+    Raises:
+        UsageError: it was opened for classical CAN.
+    """
+    from can import CanProtocol
+
+    if bus.protocol is CanProtocol.CAN_20:
+        raise UsageError(
+            f"{bus.channel_info}: opened for classical CAN; open it with fd=True to exchange CAN "
+            "FD frames (interface 'virtual': with protocol=can.CanProtocol.CAN_FD)"
+        )
 
 
 def _refuse_second_reader(bus: "can.BusABC") -> None:
@@ -192,9 +212,7 @@ class _SocketCanSource:
     def receive(self, timeout_s: float) -> Heard | None:
         if not select.select([self._socket], [], [], timeout_s)[0]:
             return None
-        frame, ancillary, flags, _ = self._socket.recvmsg(_FD_FRAME_SIZE, 64)
-        if len(frame) != _FRAME_SIZE:
-            return None  # CAN FD: the motor interface uses classical CAN only
+        frame, ancillary, flags, _ = self._socket.recvmsg(_FD_FRAME_BYTES, 64)
         age_ns = 0
         for level, kind, data in ancillary:
             if (level, kind) == (socket.SOL_SOCKET, _SCM_TIMESTAMPNS):
@@ -221,6 +239,9 @@ class _SocketCanSource:
 
 def _without_padding(frame: bytes) -> bytes:
     """Return the frame with zeros in the padding and after the data: drivers leave garbage."""
+    if len(frame) == _FD_FRAME_BYTES:
+        can_id, length, flags, data = _FD_FRAME.unpack(frame)
+        return _FD_FRAME.pack(can_id, length, flags & (_BRS | _ESI) | _FDF, data[:length])
     can_id, length, data = _FRAME.unpack(frame)
     if can_id & _RTR:
         return _FRAME.pack(can_id, length, b"")
@@ -238,6 +259,29 @@ def _error_of(message: "can.Message") -> bytes:
     return _FRAME.pack(ERROR_FLAG | classes, _ERROR_BYTES, data)
 
 
+def _message_of(frame: bytes) -> "can.Message":
+    """Return a can_frame or canfd_frame as a message to send."""
+    from can import Message
+
+    fd, flags = len(frame) == _FD_FRAME_BYTES, 0
+    if fd:
+        can_id, length, flags, data = _FD_FRAME.unpack(frame)
+    else:
+        can_id, length, data = _FRAME.unpack(frame)
+    extended = bool(can_id & _EFF)
+    remote = bool(can_id & _RTR)
+    return Message(
+        arbitration_id=can_id & (0x1FFF_FFFF if extended else 0x7FF),
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        is_fd=fd,
+        bitrate_switch=bool(flags & _BRS),
+        error_state_indicator=bool(flags & _ESI),
+        dlc=length,
+        data=None if remote else data[:length],
+    )
+
+
 @final
 class _MessageSource:
     def __init__(self, bus: "can.BusABC") -> None:
@@ -249,32 +293,27 @@ class _MessageSource:
 
     def receive(self, timeout_s: float) -> Heard | None:
         message = self._bus.recv(timeout_s)
-        if message is None or message.is_fd or not message.is_rx:
+        if message is None or not message.is_rx:
             return None  # an own frame (receive_own_messages), reported when it was sent
         can_id = message.arbitration_id
         if message.is_error_frame:
             return _error_of(message), 0, False
         if message.is_extended_id:
             can_id |= _EFF
+        if message.is_fd:
+            flags = _FDF | (_BRS if message.bitrate_switch else 0)
+            flags |= _ESI if message.error_state_indicator else 0
+            data = bytes(message.data)
+            return _FD_FRAME.pack(can_id, len(data), flags, data), 0, False
         if message.is_remote_frame:
             return _FRAME.pack(can_id | _RTR, message.dlc, b""), 0, False
         return _FRAME.pack(can_id, len(message.data), bytes(message.data)), 0, False
 
     def send(self, frame: bytes) -> None:
-        from can import CanError, Message
+        from can import CanError
 
-        can_id, length, data = _FRAME.unpack(frame)
-        extended = bool(can_id & _EFF)
-        remote = bool(can_id & _RTR)
-        message = Message(
-            arbitration_id=can_id & (0x1FFF_FFFF if extended else 0x7FF),
-            is_extended_id=extended,
-            is_remote_frame=remote,
-            dlc=length,
-            data=None if remote else data[:length],
-        )
         try:
-            self._bus.send(message)
+            self._bus.send(_message_of(frame))
         except (CanError, OSError) as error:
             raise _cannot_send(self._bus, error) from error
 

@@ -22,7 +22,12 @@ from typing import TYPE_CHECKING, Final, ParamSpec, final
 from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
 from motorhil.motorapi.runtime.api import FrameListener, Runtime
-from motorhil.motorapi.runtime.can_sources import FrameSource, source_of
+from motorhil.motorapi.runtime.can_sources import (
+    CAN_FRAME_BYTES,
+    FrameSource,
+    require_fd,
+    source_of,
+)
 
 if TYPE_CHECKING:
     import can
@@ -146,8 +151,9 @@ class _Closed(BaseException):
 
 @final
 class _Listener:
-    def __init__(self, link: "_BusLink", on_frame: FrameListener) -> None:
+    def __init__(self, link: "_BusLink", on_frame: FrameListener, fd: bool) -> None:
         self._link = link
+        self.fd: Final = fd
         self.on_frame = on_frame
 
     def cancel(self) -> None:
@@ -283,20 +289,23 @@ class WallRuntime:
         party.thread.start()
         return party
 
-    def listen(self, bus: "can.BusABC", on_frame: FrameListener) -> _Listener:
+    def listen(self, bus: "can.BusABC", on_frame: FrameListener, *, fd: bool = False) -> _Listener:
         """Call `on_frame` for every frame on `bus`, for own frames after their transmission.
 
-        From then on the runtime reads the bus: no other code can `recv` from this bus object.
+        CAN FD frames arrive with fd=True only. From then on the runtime reads the bus: no other
+        code can `recv` from this bus object.
 
         Raises:
             UsageError: other code reads this bus object (a can.Notifier), or it has its own
-                runtime.
+                runtime; fd=True, and it was opened for classical CAN.
             LinkError: the bus is closed.
         """
         with self._changed:
             self._check_open()
             if getattr(bus, "runtime", None) is not None:
                 raise UsageError(f"{bus.channel_info} has its own runtime; use runtime_of(bus)")
+            if fd:
+                require_fd(bus)
             link = self._link_of(bus)
             if link is None:
                 link = _BusLink(bus, self)
@@ -305,17 +314,20 @@ class WallRuntime:
                 self._threads = [thread for thread in self._threads if thread.is_alive()]
                 self._threads.append(link.thread)
                 link.thread.start()
-            listener = _Listener(link, on_frame)
+            listener = _Listener(link, on_frame, fd)
             link.listeners.append(listener)
             return listener
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
-        """Queue the can_frame (16 bytes) on `bus`; `listen` reports its transmission.
+        """Queue the can_frame or canfd_frame on `bus`; `listen` reports its transmission.
 
         Raises:
             LinkError: the bus does not accept it.
+            UsageError: a canfd_frame, and the bus object was opened for classical CAN.
         """
         refuse_fork(self.is_the_parents)
+        if len(frame) != CAN_FRAME_BYTES:
+            require_fd(bus)
         link = self._link_of(bus)
         if link is None:
             source_of(bus).send(frame)
@@ -415,8 +427,10 @@ class WallRuntime:
         with self._changed:
             while self._pending:
                 link, frame, time_ns, transmitted = self._pending.popleft()
+                classical = len(frame) == CAN_FRAME_BYTES
                 for listener in tuple(link.listeners):
-                    self._run_callback(listener.on_frame, frame, time_ns, transmitted)
+                    if classical or listener.fd:
+                        self._run_callback(listener.on_frame, frame, time_ns, transmitted)
             self._changed.notify_all()
 
     # --- threads -----------------------------------------------------------------------------

@@ -4,8 +4,14 @@ Expectations follow python-can's SocketCAN interface (4.6.1) and the kernel: FD 
 opened with `fd=True`; BRS and ESI arrive as sent.
 """
 
+from contextlib import contextmanager
+
 import can
 import pytest
+from can.interfaces.socketcan.socketcan import build_can_frame
+
+from motorhil.motorapi import UsageError
+from motorhil.motorapi.runtime.wall import WallRuntime
 
 LENGTHS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]  # ISO 11898-1:2015, DLC
 
@@ -20,7 +26,68 @@ def classical(can_id, data=b""):
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
-class FdFrames:
+def linux_frame(message):
+    """Return the frame as python-can packs it, without its copy of the DLC in a reserved byte."""
+    frame = bytearray(build_can_frame(message))
+    frame[7] = 0
+    return bytes(frame)
+
+
+@contextmanager
+def runtime_for(bus):
+    """Yield the runtime of a bus: the rig's own, or one on the wall clock."""
+    if (own := getattr(bus, "runtime", None)) is not None:
+        yield own
+        return
+    runtime = WallRuntime()
+    try:
+        yield runtime
+    finally:
+        runtime.close()
+
+
+class FdListeners:
+    """Tests of the motor interface's runtime for a fixture `bench`, as for `FdFrames`."""
+
+    def test_fd_listener_receives_every_frame_as_linux_packs_it(self, bench):
+        sent = [
+            classical(0x124, b"12"),
+            fd_message(0x123, bytes(range(64)), bitrate_switch=True),
+            fd_message(0x1ABCDE00, b"", True, error_state_indicator=True),
+            classical(0x125),
+        ]
+        with bench.open(fd=True) as bus, bench.open(fd=True) as other, runtime_for(bus) as runtime:
+            classical_only, every = [], []
+            runtime.listen(bus, lambda frame, *_: classical_only.append(frame))
+            runtime.listen(bus, lambda *heard: every.append(heard), fd=True)
+            for count, message in enumerate(sent, 1):
+                other.send(message)  # alone, since pending frames go by priority
+                assert runtime.wait_until(lambda count=count: len(every) == count, 30.0)
+        frames = [linux_frame(message) for message in sent]
+        assert [(frame, own) for frame, _, own in every] == [(one, False) for one in frames]
+        assert classical_only == [frames[0], frames[3]]
+
+    def test_fd_frame_of_runtime_is_sent_and_reported(self, bench):
+        message = fd_message(0x123, bytes(range(48)), bitrate_switch=True)
+        with bench.open(fd=True) as bus, bench.open(fd=True) as other, runtime_for(bus) as runtime:
+            told = []
+            runtime.listen(bus, lambda frame, _, own: told.append((frame, own)), fd=True)
+            runtime.send(bus, linux_frame(message))
+            heard = other.recv(30.0)
+            assert runtime.wait_until(lambda: bool(told), 30.0)
+        assert told == [(linux_frame(message), True)]
+        assert (heard.arbitration_id, heard.is_fd, heard.bitrate_switch) == (0x123, True, True)
+        assert bytes(heard.data) == bytes(message.data)
+
+    def test_runtime_refuses_fd_on_a_classical_bus_object(self, bench):
+        with bench.open() as bus, runtime_for(bus) as runtime:
+            with pytest.raises(UsageError, match="opened for classical CAN; open it with fd=True"):
+                runtime.listen(bus, lambda *_: None, fd=True)
+            with pytest.raises(UsageError, match="opened for classical CAN"):
+                runtime.send(bus, linux_frame(fd_message(0x123)))
+
+
+class FdFrames(FdListeners):
     """Tests for a fixture `bench`: `open(**options)` joins an FD bus."""
 
     @pytest.mark.parametrize("extended", [False, True])

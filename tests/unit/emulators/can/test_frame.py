@@ -8,6 +8,7 @@ from motorhil.emulators.can.frame import (
     ERR_FLAG,
     FRAME_BYTES,
     RTR_FLAG,
+    as_driven,
     can_id_of,
     data_of,
     pack,
@@ -54,3 +55,22 @@ def test_remote_frame_has_length_without_data():
 def test_oversized_content_is_refused(call, told):
     with pytest.raises(ValueError, match=told):
         call()
+
+
+@pytest.mark.parametrize(
+    ("frame", "sent"),
+    [
+        # python-can 4.6.1 writes the DLC into len8_dlc, too; drivers leave garbage after the data.
+        ("81010000 02112202 0102ffffffffffff", "81010000 02000000 0102000000000000"),
+        ("81010040 04112204 0102030405060708", "81010040 04000000 0000000000000000"),
+        ("56341280 08112208 0102030405060708", "56341280 08000000 0102030405060708"),
+    ],
+)
+def test_frame_from_outside_is_sent_without_its_padding(frame, sent):
+    assert as_driven(bytes.fromhex(frame)) == bytes.fromhex(sent)
+
+
+@pytest.mark.parametrize("frame", ["81010000 09000000", "81010040 09000000", "01080000 00000000"])
+def test_frame_from_outside_that_no_bus_carries_is_refused(frame):
+    with pytest.raises(ValueError, match=r"limit is 8|0\.\.8|11 bits"):
+        as_driven(bytes.fromhex(frame).ljust(16, b"\0"))

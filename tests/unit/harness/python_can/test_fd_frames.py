@@ -75,7 +75,7 @@ class TestInARig(FdFrames):
         with bench.open() as bus, pytest.raises(can.CanOperationError, match="with fd=True"):
             bus.send(fd_message(0x123))
 
-    def test_listener_gets_classical_frames_only(self):
+    def test_listener_without_fd_gets_classical_frames_only(self):
         heard = []
         ears = ReceiveQueue(False, 10, True)
         ears.listeners.append(lambda *told: heard.append(told))

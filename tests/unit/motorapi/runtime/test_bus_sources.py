@@ -4,10 +4,13 @@ import socket
 import struct
 from types import SimpleNamespace
 
+import can
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from motorhil.motorapi.runtime import can_sources as bus_sources
+from tests.support.can.fd_frames import FdListeners
 
 FRAME = struct.pack("<IB3x8s", 0x181, 1, b"\x07")
 CLOCK_NS = 7_000_000_000  # offset of this process's clock to the bus clock
@@ -71,3 +74,18 @@ def test_error_messages_of_a_socket_are_passed_unchanged():
         source = bus_sources._SocketCanSource(SimpleNamespace(channel_info="pair"), ours)
         kernels.send(message)
         assert source.receive(0.0) == (message, 0, False)
+
+
+class VirtualBench:
+    """The bus of python-can's own interface `virtual`, which is read message by message."""
+
+    def open(self, fd=False):
+        protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
+        return can.Bus(interface="virtual", channel="fd sources", protocol=protocol)
+
+
+@pytest.mark.wall
+class TestFdFramesAsMessages(FdListeners):
+    @pytest.fixture
+    def bench(self):
+        return VirtualBench()
