@@ -8,9 +8,12 @@ nanoseconds on one timeline that starts at 0.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, final
+from typing import Final, Protocol, TypeVar, final
 
 from motorhil.settings import SettingError as SettingError
+
+API_VERSION: Final = 1
+"""The version of `motorhil.emulators.api`."""
 
 STUCK: Final = 1000
 """How often a controller may be called at one time, by its own wish."""
@@ -61,6 +64,24 @@ class Controller(Protocol):
 
     def identifiers_revision(self) -> int:
         """Return a number that increases with every change of `identifiers`."""
+
+
+BuildT = TypeVar("BuildT", bound=Callable[..., object])
+
+
+def controller(*, api: int, bus_kinds: Sequence[str] = ("can",)) -> Callable[[BuildT], BuildT]:
+    """Mark a function as the builder of an emulated controller: build(settings, context).
+
+    Args:
+        api: the version of `motorhil.emulators.api` that the controller was written for.
+        bus_kinds: the kinds of buses that it builds for: can, modbus_rtu, modbus_tcp.
+    """
+
+    def mark(build: BuildT) -> BuildT:
+        vars(build).update(api_version=api, bus_kinds=tuple(bus_kinds))
+        return build
+
+    return mark
 
 
 class StuckControllerError(RuntimeError):

@@ -31,6 +31,7 @@ from motorhil.harness.rig.config.schema import rig_schema
 _LINK: Final = re.compile(r"\]\(([^)#\s]+\.md)\)")
 _MODULES: Final = (
     "motorhil.motorapi",
+    "motorhil.motorapi.api",
     "motorhil.motorapi.functions",
     "motorhil.motorapi.generation",
     "motorhil.motorapi.adaptations.cia402",
@@ -38,6 +39,8 @@ _MODULES: Final = (
     "motorhil.motorapi.adaptations.ideal",
     "motorhil.motorapi.adaptations.leadshine",
     "motorhil.motorapi.adaptations.oriental_az",
+    "motorhil.emulators.api",
+    "motorhil.traces.api",
 )
 _TELLING: Final = {"type", "description", "enum", "$ref", "oneOf", "anyOf"}
 _SECTIONS: Final = ("Args", "Attributes", "Returns", "Raises", "Yields", "Source", "Shapes")

@@ -13,6 +13,9 @@ its settings in place of `node_id`.
 An adaptation whose motors are on no bus has the attribute `build.needs_bus = False`. It gets None,
 and a rig's motor of its kind names neither controller nor bus.
 
+The decorators `adaptation` (motorhil.motorapi.api) and `controller` (motorhil.emulators.api) set
+these attributes, and the version of the API that a plugin was written for.
+
 An adaptation can have a rig of its own for `motorhil conform`, used if the command line names none:
 `build.conformance_rig`, a path relative to the folder of its module.
 
@@ -47,6 +50,40 @@ SETTINGS: Final = {
 _TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*", re.ASCII)
 
 
+class PluginVersionError(ImportError):
+    """A plugin that was written for another version of the API."""
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        super().__init__(f"{problem}; {remedy}")
+        self.problem: Final = problem
+        self.remedy: Final = remedy
+
+
+def _of_adaptations() -> tuple[str, int]:
+    from motorhil.motorapi.api.registration import API_VERSION
+
+    return "motorhil.motorapi.api", API_VERSION
+
+
+def _of_controllers() -> tuple[str, int]:
+    from motorhil.emulators.controller import API_VERSION
+
+    return "motorhil.emulators.api", API_VERSION
+
+
+_APIS: Final = {ADAPTATIONS: _of_adaptations, CONTROLLERS: _of_controllers}
+
+
+def _check_version(written_for: object, api: str, version: int) -> None:
+    if written_for == version:
+        return
+    newer = isinstance(written_for, int) and written_for > version
+    raise PluginVersionError(
+        f"was written for version {written_for!r} of {api}; this motorhil has version {version}",
+        "upgrade motorhil" if newer else "install a newer release of the plugin",
+    )
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Plugin:
@@ -68,8 +105,15 @@ class Plugin:
         return "" if dist is None else f"{dist.name} {dist.version}"
 
     def load(self) -> Callable[..., Any]:
-        """Import and return the build function; exceptions of the import propagate."""
+        """Import and return the build function; exceptions of the import propagate.
+
+        Raises:
+            PluginVersionError: it was written for another version of the API.
+        """
         loaded: Callable[..., Any] = self.entry_point.load()
+        written_for = getattr(loaded, "api_version", None)
+        if written_for is not None and self.entry_point.group in _APIS:
+            _check_version(written_for, *_APIS[self.entry_point.group]())
         return loaded
 
 

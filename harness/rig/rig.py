@@ -34,7 +34,14 @@ from motorhil.emulators.media.serial_line import SerialLine
 from motorhil.emulators.settings.tables import OscillatorTable
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
-from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, Plugin, installed, named
+from motorhil.harness.plugins import (
+    ADAPTATIONS,
+    CONTROLLERS,
+    Plugin,
+    PluginVersionError,
+    installed,
+    named,
+)
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
 from motorhil.harness.rig.config.derived import settings_with_model, with_timing
@@ -361,6 +368,9 @@ class RigPlugins:
         """
         try:
             return plugin.load()
+        except PluginVersionError as error:
+            problem = f'plugin "{plugin.name}" ({plugin.target}) {error.problem}'
+            raise self._description.error(path, problem, error.remedy, BrokenPluginError) from error
         except (Exception, SystemExit) as error:
             raise self._description.error(
                 path,

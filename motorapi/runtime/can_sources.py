@@ -50,6 +50,8 @@ _FD_FRAME_BYTES: Final = 72
 _BRS: Final = 0x01  # flags of a canfd_frame, as in linux/can.h
 _ESI: Final = 0x02
 _FDF: Final = 0x04  # not every driver sets it
+_LENGTHS: Final = range(9)
+_FD_LENGTHS: Final = (*_LENGTHS, 12, 16, 20, 24, 32, 48, 64)  # ISO 11898-1:2015, by DLC
 _NEVER_NS: Final = -1
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
@@ -116,6 +118,29 @@ def source_of(bus: "can.BusABC") -> FrameSource:
     if one_channel and isinstance(raw, socket.socket) and raw.family == _AF_CAN:
         return _SocketCanSource(bus, raw)
     return _MessageSource(bus)
+
+
+def pack(
+    can_id: int, data: bytes = b"", *, flags: int | None = None, remote: int | None = None
+) -> bytes:
+    """Return a can_frame, or a canfd_frame if `flags` are given.
+
+    Args:
+        can_id: the identifier, with EFF_FLAG for one of 29 bits.
+        data: 0 to 8 bytes; in CAN FD 0 to 8, 12, 16, 20, 24, 32, 48 or 64.
+        flags: those of a CAN FD frame; 1: bit rate switch.
+        remote: requested length of a remote frame, which has no data.
+
+    Raises:
+        ValueError: the data have another length.
+    """
+    length = len(data) if remote is None else remote
+    if length not in (_LENGTHS if flags is None else _FD_LENGTHS):
+        kind, limit = ("CAN frame", "0 to 8") if flags is None else ("CAN FD frame", "up to 64")
+        raise ValueError(f"{kind} {can_id & 0x1FFF_FFFF:X}h: {length} bytes of data; {limit} fit")
+    if flags is not None:
+        return _FD_FRAME.pack(can_id, length, flags | _FDF, data)
+    return _FRAME.pack(can_id if remote is None else can_id | _RTR, length, data)
 
 
 def require_fd(bus: "can.BusABC") -> None:

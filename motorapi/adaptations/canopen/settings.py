@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from motorhil.motorapi.adaptations.registration import Options
+from motorhil.motorapi.api.registration import Options
 from motorhil.settings import SettingError, number, whole
 
 _TIMEOUT_MAX_S = 3600

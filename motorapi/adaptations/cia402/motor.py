@@ -50,7 +50,7 @@ from motorhil.motorapi.adaptations.cia402.objects import (
 )
 from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
-from motorhil.motorapi.adaptations.registration import Shared, read_settings
+from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     MotionInterrupted,

@@ -32,7 +32,7 @@ from motorhil.motorapi.adaptations.host_servo.demand import Scales, course_of
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.servo import ServoLimits
 from motorhil.motorapi.adaptations.host_servo.settings import HostServoTable, IoOptions, PidGains
-from motorhil.motorapi.adaptations.registration import Shared, read_settings
+from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
 from motorhil.motorapi.motion import Motion

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorhil.motorapi.adaptations.registration import Shared, read_settings
+from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError
 from motorhil.motorapi.motion import Motion

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar, final
 
 from motorhil.motorapi.adaptations.modbus.client import is_silence
 from motorhil.motorapi.adaptations.modbus.polled_hardware import Poll, PolledHardware, Wanted
-from motorhil.motorapi.adaptations.registration import Shared, read_settings
+from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeadlineExceeded,

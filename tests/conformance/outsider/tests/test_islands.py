@@ -20,11 +20,11 @@ def imports(folder):
 @pytest.mark.parametrize(
     ("side", "allowed"),
     [
-        ("emulated", ("motorhil.emulators", "motorhil.settings", "motorhil_odrive.emulated")),
-        ("host", ("motorhil.motorapi", "motorhil.settings", "can", "motorhil_odrive.host")),
+        ("emulated", ("motorhil.emulators.api", "motorhil_odrive.emulated")),
+        ("host", ("motorhil.motorapi.api", "can", "motorhil_odrive.host")),
     ],
 )
-def test_each_side_imports_only_its_own_packages(side, allowed):
+def test_each_side_imports_only_its_own_api(side, allowed):
     ours = ("motorhil", "motorhil_odrive", "can")
     found = list(imports(side))
     assert len(found) > 20

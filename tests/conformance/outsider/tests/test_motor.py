@@ -106,7 +106,7 @@ def test_done_flag_of_previous_motion_is_ignored(rig):
 
 def late_heartbeats(hardware):
     """Add an old heartbeat just after each frame that starts a motion."""
-    confirm = hardware.confirm
+    confirm = hardware.drive.confirm
 
     def instead(sent):
         time_ns = confirm(sent)
@@ -114,7 +114,7 @@ def late_heartbeats(hardware):
             hardware.heard._on_heartbeat((0, m.CLOSED_LOOP, 1, 1), time_ns + 1)
         return time_ns
 
-    hardware.confirm = instead
+    hardware.drive.confirm = instead
 
 
 def test_heartbeat_queued_before_start_is_ignored(rig):
@@ -222,14 +222,14 @@ def test_old_heartbeat_does_not_refuse_enable(rig):
     motor = rig.motors["left"]
     motor.enable()
     motor.disable()  # the drive reports "cancelled" for its closed loop
-    hardware, confirm = motor.hardware, motor.hardware.confirm
+    hardware, confirm = motor.hardware, motor.hardware.drive.confirm
 
     def instead(sent):
         time_ns = confirm(sent)
         hardware.heard._on_heartbeat((0, m.IDLE, 2, 1), time_ns + 1)
         return time_ns
 
-    hardware.confirm = instead
+    hardware.drive.confirm = instead
     motor.enable()
     assert motor.state() is MotorState.ENABLED
 

@@ -347,6 +347,20 @@ def test_plugin_that_exits_when_imported_is_reported(plugin, say):
     )
 
 
+@pytest.mark.parametrize(
+    ("version", "remedy"), [(2, "upgrade motorhil"), (0, "install a newer release of the plugin")]
+)
+def test_plugin_for_another_api_version_is_refused(plugin, say, version, remedy):
+    text = f"from motorhil.emulators.api import controller as mark\n@mark(api={version})\n"
+    plugin("other_plugin", text + "def controller(settings, context):\n    raise AssertionError\n")
+    assert say("check", "rig.toml") == (
+        2,
+        "",
+        f"{LEFT_KIND}(other_plugin:controller) was written for version {version} of"
+        f" motorhil.emulators.api; this motorhil has version 1; {remedy}\n",
+    )
+
+
 STARTER = """\
 class controller:
     wants_sent = lambda self: False

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
-from motorhil.traces.can_frame import EFF, ERR, RTR, fields
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.api import EFF, ERR, RTR, BusMessage, Signal, fields
 
 from motorhil_odrive.emulated import messages as cansimple
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 
-from motorhil.emulators.controller import Controller, ControllerContext
-from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.api import Controller, ControllerContext, controller, on_own_time
 
 from motorhil_odrive.emulated.drive import OdriveController
 from motorhil_odrive.emulated.settings import read_settings
 
 
+@controller(api=1)
 def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
     """Build the drive from its table in a rig.
 

@@ -17,8 +17,8 @@ This module gives them ODrive's meaning. Positions are turns of the motor.
 from dataclasses import dataclass, replace
 from typing import Final, final
 
-from motorhil.emulators.firmware import flags as f
-from motorhil.emulators.settings.motor import axis_of
+from motorhil.emulators.api import axis_of
+from motorhil.emulators.api import flags as f
 
 from motorhil_odrive.emulated.messages import ControlMode, InputMode
 from motorhil_odrive.emulated.settings import OdriveSettings

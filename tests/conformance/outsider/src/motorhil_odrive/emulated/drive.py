@@ -14,9 +14,16 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Final, final
 
-from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
-from motorhil.emulators.firmware.axis import NEVER_NS
-from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.api import (
+    EFF_FLAG,
+    ERR_FLAG,
+    NEVER_NS,
+    RANGES,
+    RTR_FLAG,
+    can_id_of,
+    data_of,
+    pack,
+)
 
 from motorhil_odrive.emulated import messages as m
 from motorhil_odrive.emulated.commands import COMMANDS

@@ -8,8 +8,8 @@ How the axis leaves the switch is a choice of this emulator.
 from enum import Enum
 from typing import Final, final
 
-from motorhil.emulators.firmware import flags as f
-from motorhil.emulators.firmware.axis import NEVER_NS
+from motorhil.emulators.api import NEVER_NS
+from motorhil.emulators.api import flags as f
 
 from motorhil_odrive.emulated.control import Control
 

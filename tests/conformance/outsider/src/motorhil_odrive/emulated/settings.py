@@ -4,10 +4,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.emulators.controller import ControllerContext
-from motorhil.emulators.settings.motor import MotorSettings, MotorTable
-from motorhil.emulators.settings.tables import ns
-from motorhil.settings import REQUIRED, number, read, table, whole
+from motorhil.emulators.api import (
+    REQUIRED,
+    ControllerContext,
+    MotorSettings,
+    MotorTable,
+    ns,
+    number,
+    read,
+    table,
+    whole,
+)
 
 NODE_ID_MAX: Final = 0x3E
 

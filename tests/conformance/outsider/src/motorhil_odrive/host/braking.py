@@ -29,7 +29,7 @@ def brake(hardware: "OdriveHwMotor", deceleration: float, units: "Units") -> Non
         hardware.heard.follow(None)
         return
     slower = deceleration * abs(units.rev)
-    position, velocity = hardware.heard.at(hardware.runtime.now_ns(), slower)
+    position, velocity = hardware.heard.at(hardware.drive.runtime.now_ns(), slower)
     watch, held = hardware.heard.watch, hardware.held
     rests = watch is None or watch.is_over()
     if held is None or not rests or abs(velocity) > _STILL:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
-from motorhil.motorapi.adaptations.registration import Shared, read_settings
+from motorhil.motorapi.api import Shared, adaptation, read_settings
 
 from motorhil_odrive.host.hardware import OdriveHwMotor
 from motorhil_odrive.host.motor import OdriveMotor
@@ -11,12 +11,12 @@ from motorhil_odrive.host.options import OdriveMotorTable, OdriveOptions
 
 if TYPE_CHECKING:
     import can
-    from motorhil.motorapi.model import MotorModel
-    from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.motorapi.api import MotorModel, Runtime
 
 _SHARED: Final[Shared[OdriveHwMotor]] = Shared("drive")
 
 
+@adaptation(api=1, rig="../rig.toml")
 def build(
     bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> OdriveMotor:
@@ -47,6 +47,3 @@ def build(
         name=own.name,
         on_close=lambda: _SHARED.give_back(hardware),
     )
-
-
-build.conformance_rig = "../rig.toml"  # type: ignore[attr-defined]  # a plugin's mark

@@ -15,22 +15,29 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Final, final
 
-from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import (
+from motorhil.motorapi.api import (
+    ComplexTrajectory,
+    ControlMode,
+    ControlVariable,
     DeviceFault,
+    Fault,
+    Measurement,
+    Motion,
     MotionInterrupted,
+    MotionTimes,
+    Motor,
+    MotorModel,
+    MotorState,
     PeerError,
+    Setpoint,
     StateError,
+    SyncLevel,
+    SyncOffer,
+    Trajectory,
+    Trigger,
     UnsupportedError,
+    asks_for_smoothness,
 )
-from motorhil.motorapi.model import MotorModel
-from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.planning.functions import asks_for_smoothness
-from motorhil.motorapi.state import Fault, Measurement, MotorState
-from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
-from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
 
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.braking import brake
@@ -70,8 +77,8 @@ class OdriveMotor(Motor):
         super().__init__(
             name=f"{model.name} at {hardware.label}" if name is None else name,
             model=model,
-            runtime=hardware.runtime,
-            physical=hardware.physical,
+            runtime=hardware.drive.runtime,
+            physical=hardware.drive.physical,
         )
         self._hardware = hardware
         self._units = Units(model)
@@ -195,7 +202,7 @@ class OdriveMotor(Motor):
             return
         hardware.heard.follow(None)
         hardware.tell(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID)
-        sent_ns = hardware.confirm(hardware.tell(m.AXIS_STATE, m.CLOSED_LOOP))
+        sent_ns = hardware.drive.confirm(hardware.tell(m.AXIS_STATE, m.CLOSED_LOOP))
         denied: set[int] = set()
 
         def is_answered(heard: Heartbeat) -> bool:
@@ -226,7 +233,7 @@ class OdriveMotor(Motor):
         hardware.end_stream()
         hardware.heard.follow(None)
         hardware.tell(m.AXIS_STATE, m.IDLE)
-        sent_ns = hardware.confirm(hardware.tell(m.CLEAR_ERRORS, 0))
+        sent_ns = hardware.drive.confirm(hardware.tell(m.CLEAR_ERRORS, 0))
         # One heartbeat may have been queued before the command: its errors are old.
         hardware.await_heartbeat(lambda heard: heard.time_ns > sent_ns, _STATE_S)
         hardware.await_heartbeat(lambda heard: True, _STATE_S)
@@ -281,7 +288,7 @@ class OdriveMotor(Motor):
 
     def _is_done(self) -> bool:
         hardware = self._hardware
-        hardware.check_open()
+        hardware.drive.check_open()
         hardware.heard.check()
         watch = hardware.heard.watch
         fault = hardware.heard.fault()

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, final
 
-from motorhil.motorapi.adaptations.registration import Options
-from motorhil.settings import REQUIRED, number, text, whole
+from motorhil.motorapi.api import REQUIRED, Options, number, text, whole
 
 
 def _positive(default: float, unit: str, doc: str) -> Any:

@@ -3,16 +3,20 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.planning.sampling import Ramps, demand_of
+from motorhil.motorapi.api import (
+    ControlVariable,
+    Motion,
+    Ramps,
+    SentFrame,
+    SetpointStream,
+    demand_of,
+)
 
 from motorhil_odrive.host import messages as m
-from motorhil_odrive.host.stream import Stream
 from motorhil_odrive.host.watch import Arrival, Reached
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.api import BoundFence, MotorModel
 
     from motorhil_odrive.host.hardware import OdriveHwMotor
     from motorhil_odrive.host.units import Units
@@ -48,7 +52,7 @@ class Start:
         sent = hardware.tell(m.INPUT_POSITION, target, 0.0, 0.0)
         window = hardware.options.position_window_rev
         hardware.heard.follow(Arrival(sent, target, window, estimate.position))
-        hardware.confirm(sent)
+        hardware.drive.confirm(sent)
 
     def _run(self) -> None:
         hardware, motion = self.hardware, self.motion
@@ -57,18 +61,27 @@ class Start:
         control = m.VELOCITY_CONTROL if is_velocity else m.TORQUE_CONTROL
         scale = self.units.of(motion.variable)
         goes_on = hardware.was_told(m.CONTROLLER_MODE, control, m.PASSTHROUGH)
-        before = hardware.stream.last if goes_on and hardware.stream is not None else 0.0
+        last = hardware.stream.last if goes_on and hardware.stream is not None else None
+        before = 0.0 if last is None else last
         value, duration_s = profile(motion, before / scale)
         window = self.model.velocity_max * hardware.options.velocity_window * abs(scale)
         watch = Reached(motion.target * scale if is_velocity else None, window)
         hardware.end_stream()
+
+        def send(setpoint: float, fence: "BoundFence | None" = None) -> SentFrame:
+            values = (setpoint, 0.0) if is_velocity else (setpoint,)
+            return hardware.tell(message, *values, fence=fence)
+
         if not goes_on:  # the input first: it is valid from the change of mode on
-            first = value(0.0) * scale
-            hardware.tell(message, *((first, 0.0) if is_velocity else (first,)))
+            send(value(0.0) * scale)
             hardware.tell(m.CONTROLLER_MODE, control, m.PASSTHROUGH)
-        hardware.stream = Stream(hardware, message, lambda s: value(s) * scale, duration_s, watch)
+        period_s = hardware.options.stream_period_ms / 1e3
+        stream = hardware.stream = SetpointStream(
+            hardware.drive, lambda s: value(s) * scale, duration_s, period_s, send, watch.arrive
+        )
         hardware.heard.follow(watch)
-        hardware.confirm(hardware.stream.begin())
+        watch.sent = stream.begin()
+        hardware.drive.confirm(watch.sent)
 
 
 def prepare(start: Start) -> None:
@@ -90,7 +103,7 @@ def prepare(start: Start) -> None:
         ]
     last = next((one for one in reversed(sent) if one is not None), None)
     if last is not None:
-        hardware.confirm(last)
+        hardware.drive.confirm(last)
 
 
 def profile(motion: Motion, before: float) -> tuple[Callable[[float], float], float]:

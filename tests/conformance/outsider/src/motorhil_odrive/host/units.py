@@ -11,13 +11,10 @@ from dataclasses import replace
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import UsageError
-from motorhil.motorapi.model import MotionKind
-from motorhil.motorapi.motion import Motion
+from motorhil.motorapi.api import ControlVariable, Motion, MotionKind, UsageError
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.api import MotorModel
 
 _ROUNDING: Final = 1e-9
 

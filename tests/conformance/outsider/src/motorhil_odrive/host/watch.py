@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil_odrive.host.messages import HOMING, result_text
 
 if TYPE_CHECKING:
+    from motorhil.motorapi.api import SentFrame
+
     from motorhil_odrive.host.heard import Estimate, Heartbeat
-    from motorhil_odrive.host.wire import Sent
 
 _ENOUGH: Final = 2
 _STILL: Final = 3  # estimates in a row
@@ -35,7 +36,7 @@ class Watch:
     needs_power = True
     references = False
 
-    def __init__(self, sent: "Sent | None" = None) -> None:
+    def __init__(self, sent: "SentFrame | None" = None) -> None:
         self.ended_ns: int | None = None
         self.failed = ""
         self.sent = sent
@@ -74,7 +75,7 @@ class Armed(Watch):
 class _Trapezoid(Watch):
     """A command whose trapezoid must be done."""
 
-    def __init__(self, sent: "Sent") -> None:
+    def __init__(self, sent: "SentFrame") -> None:
         super().__init__(sent)
         self._heard = 0
         self._was_denied = False
@@ -95,7 +96,7 @@ class _Trapezoid(Watch):
 class Arrival(_Trapezoid):
     """A motion, which ends when done with the motor within the window of its target [rev]."""
 
-    def __init__(self, sent: "Sent", target: float, window: float, start: float) -> None:
+    def __init__(self, sent: "SentFrame", target: float, window: float, start: float) -> None:
         super().__init__(sent)
         self._target = target
         self._window = window
@@ -122,7 +123,7 @@ class Rest(_Trapezoid):
     moves = False
     needs_power = False
 
-    def __init__(self, sent: "Sent", still: float) -> None:
+    def __init__(self, sent: "SentFrame", still: float) -> None:
         super().__init__(sent)
         self._still = still
         self._rests = 0
@@ -144,11 +145,11 @@ class Reached(Watch):
 
     def __init__(self, velocity: float | None, window: float) -> None:
         super().__init__()
-        self._last: Sent | None = None
+        self._last: SentFrame | None = None
         self._velocity = velocity
         self._window = window
 
-    def arrive(self, last: "Sent") -> None:
+    def arrive(self, last: "SentFrame") -> None:
         """Note the frame of the last set-point."""
         self._last = last
 
@@ -167,7 +168,7 @@ class Called(Watch):
 
     references = True
 
-    def __init__(self, sent: "Sent", window: float) -> None:
+    def __init__(self, sent: "SentFrame", window: float) -> None:
         super().__init__(sent)
         self._window = window
 
@@ -185,7 +186,7 @@ class Homed(Watch):
     needs_power = False  # a refused homing ends in IDLE, with the reason
     references = True
 
-    def __init__(self, sent: "Sent") -> None:
+    def __init__(self, sent: "SentFrame") -> None:
         super().__init__(sent)
         self._heard = 0
         self._began = False

@@ -3,7 +3,7 @@
 Third parties may use them for adaptations of their own.
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Final, Generic, Protocol, TypeVar, cast, final
 from weakref import WeakValueDictionary
@@ -34,7 +34,37 @@ class Hardware(Protocol):
         """Close the hardware; no motor can use it afterwards."""
 
 
+API_VERSION: Final = 1
+"""The version of `motorhil.motorapi.api`."""
+
 HardwareT = TypeVar("HardwareT", bound=Hardware)
+BuildT = TypeVar("BuildT", bound=Callable[..., object])
+
+
+def adaptation(
+    *,
+    api: int,
+    rig: str | None = None,
+    bus_kinds: Sequence[str] = ("can",),
+    needs_bus: bool = True,
+) -> Callable[[BuildT], BuildT]:
+    """Mark a function as the builder of an adaptation: build(bus, settings, model, runtime).
+
+    Args:
+        api: the version of `motorhil.motorapi.api` that the adaptation was written for.
+        rig: the rig for its conformance check, a path relative to the folder of its module.
+        bus_kinds: the kinds of buses that it builds for: can, modbus_rtu, modbus_tcp.
+        needs_bus: False if its motors are on no bus; `build` then gets None for it.
+    """
+    marks = {"api_version": api, "bus_kinds": tuple(bus_kinds), "needs_bus": needs_bus}
+    if rig is not None:
+        marks["conformance_rig"] = rig
+
+    def mark(build: BuildT) -> BuildT:
+        vars(build).update(marks)
+        return build
+
+    return mark
 
 
 @final

@@ -1,0 +1,76 @@
+"""The controller API: all that a third party's emulated drive may import, and enough.
+
+An emulated drive implements `Controller`, and is built by a function that `controller` marks. The
+motor on its shaft is motorhil's: `axis_of` makes plant, servo and profile generator from the keys
+that all drives share (`MotorTable`).
+
+`VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
+other modules of motorhil may change at any time.
+"""
+
+from motorhil.emulators.can.frame import (
+    EFF_FLAG,
+    ERR_FLAG,
+    RTR_FLAG,
+    can_id_of,
+    data_of,
+    pack,
+    pack_fd,
+    pack_remote,
+)
+from motorhil.emulators.controller import (
+    API_VERSION as VERSION,
+)
+from motorhil.emulators.controller import (
+    Controller,
+    ControllerContext,
+    NonvolatileMemory,
+    controller,
+)
+from motorhil.emulators.firmware import flags
+from motorhil.emulators.firmware.axis import NEVER_NS, Axis
+from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
+from motorhil.emulators.settings.tables import ns
+from motorhil.settings import (
+    REQUIRED,
+    SettingError,
+    number,
+    read,
+    table,
+    text,
+    whole,
+)
+
+__all__ = [
+    "EFF_FLAG",
+    "ERR_FLAG",
+    "NEVER_NS",
+    "RANGES",
+    "REQUIRED",
+    "RTR_FLAG",
+    "VERSION",
+    "Axis",
+    "Controller",
+    "ControllerContext",
+    "MotorSettings",
+    "MotorTable",
+    "NonvolatileMemory",
+    "SettingError",
+    "axis_of",
+    "can_id_of",
+    "controller",
+    "data_of",
+    "flags",
+    "ns",
+    "number",
+    "on_own_time",
+    "pack",
+    "pack_fd",
+    "pack_remote",
+    "read",
+    "table",
+    "text",
+    "whole",
+]

@@ -1,0 +1,90 @@
+"""The adaptation API: all that a third party's adaptation may import, and enough.
+
+An adaptation derives from `Motor` (its hooks: `motorhil.motorapi.hooks`), contains a hardware
+object, and is built by a function that `adaptation` marks. On CAN, `CanDrive` does for the hardware
+object what every drive repeats; `SetpointStream` serves drives without a profile generator.
+
+`VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
+other modules of motorhil may change at any time.
+"""
+
+from motorhil.motorapi.api.can_drive import CanDrive, SentFrame, SignOfLife, checked_node
+from motorhil.motorapi.api.registration import API_VERSION as VERSION
+from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
+from motorhil.motorapi.api.setpoint_stream import SetpointStream
+from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
+from motorhil.motorapi.errors import (
+    DeadlineExceeded,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorBusyError,
+    MotorError,
+    PeerError,
+    StateError,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.model import MotionKind, MotorModel
+from motorhil.motorapi.motion import Motion
+from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.ownership.fencing import BoundFence
+from motorhil.motorapi.planning.functions import asks_for_smoothness
+from motorhil.motorapi.planning.sampling import Ramps, demand_of
+from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
+from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
+from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.settings import REQUIRED, number, text, whole
+
+__all__ = [
+    "REQUIRED",
+    "VERSION",
+    "BoundFence",
+    "CanDrive",
+    "ComplexTrajectory",
+    "ControlMode",
+    "ControlVariable",
+    "DeadlineExceeded",
+    "DeviceFault",
+    "Fault",
+    "LinkError",
+    "Measurement",
+    "Motion",
+    "MotionInterrupted",
+    "MotionKind",
+    "MotionTimes",
+    "Motor",
+    "MotorBusyError",
+    "MotorError",
+    "MotorModel",
+    "MotorState",
+    "Options",
+    "PeerError",
+    "PeriodicMessage",
+    "Ramps",
+    "Runtime",
+    "SentFrame",
+    "Setpoint",
+    "SetpointStream",
+    "Shared",
+    "SignOfLife",
+    "StateError",
+    "SyncLevel",
+    "SyncOffer",
+    "Trajectory",
+    "Trigger",
+    "UnsupportedError",
+    "UsageError",
+    "adaptation",
+    "asks_for_smoothness",
+    "checked_node",
+    "demand_of",
+    "number",
+    "read_settings",
+    "text",
+    "wait_until",
+    "whole",
+]

@@ -1,0 +1,478 @@
+"""The connection of a hardware object to one drive on a CAN bus: what every drive repeats.
+
+A hardware object contains one `CanDrive`. It registers the physical motor, locks and fences it
+between programs, passes received frames on, confirms sent ones, notices the loss of the drive, and
+keeps what the drive was told. It knows no protocol.
+
+Costs: a received frame of the bus costs one look-up per drive; nothing grows with time.
+"""
+
+from collections import deque
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
+from motorhil.motorapi.locking.directory import bus_name
+from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
+from motorhil.motorapi.ownership.fencing import NodeFence, announce
+from motorhil.motorapi.ownership.physical_motor import (
+    PhysicalMotor,
+    RunStatus,
+    register_physical_motor,
+    release_physical_motor,
+)
+from motorhil.motorapi.runtime.api import ChangeCounter, wait_until
+from motorhil.motorapi.runtime.can_sources import ERROR_FLAG, BusStatus, pack, status_of
+from motorhil.motorapi.runtime.wall import runtime_of
+from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
+
+if TYPE_CHECKING:
+    import can
+
+    from motorhil.motorapi.ownership.fencing import BoundFence
+    from motorhil.motorapi.runtime.api import Registration, Runtime
+
+DataHandler = Callable[[bytes, int], None]
+"""(data of the frame; empty for a remote frame, time when it was complete on the bus [ns])."""
+
+_EXTENDED: Final = 0x8000_0000
+_REMOTE: Final = 0x4000_0000
+_DATA_AT: Final = 8
+_WAITING_MAX: Final = 256
+_LOOKS: Final = 6  # per timeout of a sign of life
+_CONNECT_ASK_S: Final = 0.1
+
+
+@final
+class SentFrame:
+    """A sent frame.
+
+    Attributes:
+        frame: the can_frame or canfd_frame.
+        time_ns: when it was complete on the bus [ns]; None before that.
+    """
+
+    __slots__ = ("frame", "time_ns")
+
+    def __init__(self, frame: bytes) -> None:
+        self.frame: Final = frame
+        self.time_ns: int | None = None
+
+    def is_of(self, frame: bytes) -> bool:
+        """Return True if this frame was sent, and its transmission is not known yet."""
+        return self.time_ns is None and self.frame == frame
+
+
+@final
+class SignOfLife:
+    """A message that the drive sends periodically, or when it is asked.
+
+    Attributes:
+        last_ns: when the last one was complete on the bus [ns]; None before the first one.
+        lost_since_ns: when its absence was noticed [ns]; None while it comes.
+    """
+
+    def __init__(self, name: str, timeout_s: float, on_loss: Callable[[], None] | None) -> None:
+        self.name: Final = name
+        self.timeout_s: Final = timeout_s
+        self.on_loss: Final = on_loss
+        self.last_ns: int | None = None
+        self.lost_since_ns: int | None = None
+
+    def came(self, time_ns: int) -> bool:
+        """Record that it came. Return True after a loss, and for the first one."""
+        is_new = self.last_ns is None or self.lost_since_ns is not None
+        self.last_ns, self.lost_since_ns = time_ns, None
+        return is_new
+
+    def has_just_ended(self, now_ns: int) -> bool:
+        """Return True once, when it is missing for longer than its timeout."""
+        if self.last_ns is None or self.lost_since_ns is not None:
+            return False
+        if now_ns - self.last_ns <= self.timeout_s * 1e9:
+            return False
+        self.lost_since_ns = now_ns
+        return True
+
+
+@final
+class CanDrive:
+    """One drive on a CAN bus, for its hardware object.
+
+    Args:
+        bus: an open python-can bus with any interface.
+        node: the number of the drive on the bus, 0 to 255; no two motors of a bus share it.
+        owner: the hardware object, named if another one is built for the same drive.
+        runtime: the runtime for waits; None: the bus's own (virtual time), else wall time.
+        extended: True for identifiers of 29 bits.
+        fd: True if the drive sends CAN FD frames; the bus object must be open for them.
+
+    Attributes:
+        runtime: the runtime for waits.
+        label: the name of the drive in messages ("can0 node 3").
+        physical: the record that its logical motors share.
+        news: counts changes that may end a motion.
+        status: the state of the bus from the host's CAN controller.
+        is_closed: True after `close`.
+        users: the number of motors built on it from settings (`Shared`).
+
+    Raises:
+        UsageError: a hardware object for this drive exists already; or `fd`, and the bus object is
+            open for classical CAN only.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        node: int,
+        owner: object,
+        *,
+        runtime: "Runtime | None" = None,
+        extended: bool = False,
+        fd: bool = False,
+    ) -> None:
+        self.runtime: Final = runtime_of(bus) if runtime is None else runtime
+        channel = getattr(bus, "channel", None)
+        place = str(bus.channel_info if channel is None else channel)
+        self.label: Final = f"{place} node {node}"
+        self.news: Final = ChangeCounter()
+        self.status: Final[BusStatus] = status_of(bus, place)
+        self.is_closed: bool = False
+        self.users: int = 0
+        self._bus: Final = bus
+        self._node: Final = node
+        self._flag: Final = _EXTENDED if extended else 0
+        self._handlers: Final[dict[int, DataHandler]] = {}
+        self._waiting: Final[deque[SentFrame]] = deque(maxlen=_WAITING_MAX)
+        self._signs: Final[list[SignOfLife]] = []
+        self._told: Final[dict[Hashable, object]] = {}
+        self._told_token = -1
+        self._connecting = False
+        where = bus_name(bus) if can_share_time(self.runtime) else None
+        lock = None if where is None else ProcessLock(f"{where}-node{node}", self.label)
+        self.physical: Final[PhysicalMotor] = register_physical_motor(
+            bus, node, self.label, owner, lock
+        )
+        self.physical.news = self.news
+        self._owner: Final = owner
+        self._fence: Final = (
+            None
+            if lock is None
+            else NodeFence(lock, self.physical.ownership, self.runtime, bus, node)
+        )
+        if lock is not None:
+            announce(self.physical.ownership, bus, node)
+        self._activities: Final[list[Registration]] = []
+        try:
+            self._activities.append(self.runtime.listen(bus, self._on_frame, fd=fd))
+        except BaseException:
+            release_physical_motor(bus, node, owner)
+            raise
+
+    def close(self, *, at_rest: bool) -> None:
+        """Stop sending and receiving; closing again does nothing.
+
+        `at_rest`: False if a motion of the drive goes on; waits for it then fail.
+        """
+        if self.is_closed:
+            return
+        status = RunStatus.DONE if at_rest else RunStatus.GOING
+        self.physical.end(f"close() of {self.label}", self.runtime.now_ns(), status)
+        self.is_closed = True
+        for one in self._activities:
+            one.cancel()
+        release_physical_motor(self._bus, self._node, self._owner)
+        self.news.grow()
+
+    # --- receiving ---------------------------------------------------------------------------
+
+    def handle(self, can_id: int, handler: DataHandler) -> None:
+        """Pass received data frames with this identifier to `handler`, in place of any other.
+
+        Register commands to the drive as well: they are then those of other programs.
+        """
+        self._handlers[can_id | self._flag] = handler
+
+    def every(self, period_s: float, action: Callable[[], None]) -> None:
+        """Run `action` every `period_s` [s] until `close`; it must not wait."""
+        self._activities.append(self.runtime.every(period_s, action))
+
+    def expect(
+        self, name: str, timeout_s: float, on_loss: Callable[[], None] | None = None
+    ) -> SignOfLife:
+        """Declare a message that keeps coming; its handler calls `came` of what this returns.
+
+        Args:
+            name: the name of the message in errors ("heartbeat").
+            timeout_s: the drive is lost without it for this time [s]; noticed within a sixth more.
+            on_loss: called at a loss, in a callback.
+        """
+        sign = SignOfLife(name, timeout_s, on_loss)
+        self._signs.append(sign)
+        self.every(timeout_s / _LOOKS, lambda: self._look(sign))
+        return sign
+
+    @property
+    def is_lost(self) -> bool:
+        """True if the drive cannot be heard now: closed, bus off, or a sign of life is missing."""
+        missing = any(one.lost_since_ns is not None for one in self._signs)
+        return self.is_closed or self.status.is_off or missing
+
+    def check(self) -> None:
+        """Raise LinkError if the drive cannot be heard now; names the reason."""
+        self.check_open()
+        self.status.check()
+        for one in self._signs:
+            if one.lost_since_ns is not None:
+                reason = f"no {one.name} for {one.timeout_s * 1e3:g} ms"
+                raise LinkError(link=self.label, reason=reason, since_ns=one.lost_since_ns)
+
+    def check_open(self) -> None:
+        """Raise LinkError if the drive is closed."""
+        if self.is_closed:
+            raise LinkError(link=self.label, reason="this hardware object is closed")
+
+    def connect(
+        self, is_up: Callable[[], bool], ask: Callable[[], object], timeout_s: float, lacks: str
+    ) -> None:
+        """Ask the drive again and again until it is heard; one caller at a time.
+
+        Args:
+            is_up: returns True if all is known that commands need.
+            ask: sends a request; it must not wait.
+            timeout_s: longest time [s].
+            lacks: the missing messages, for the error ("heartbeat and version").
+
+        Raises:
+            LinkError: the drive is not heard within `timeout_s`, or is closed, or the bus is off.
+        """
+        self.check_open()
+        self.status.check()
+        if is_up():
+            return
+        others_s = 2.0 * timeout_s
+        if not wait_until(self.runtime, lambda: not self._connecting, others_s):
+            awaited = f"{self.label}: connecting"
+            raise DeadlineExceeded(awaited=awaited, timeout_s=others_s, last_heard="nothing")
+        self._connecting = True
+        try:
+            end_ns = self.runtime.now_ns() + round(timeout_s * 1e9)
+            while not is_up():
+                if self.runtime.now_ns() >= end_ns:
+                    reason = f"no {lacks} within {timeout_s:g} s"
+                    raise LinkError(link=self.label, reason=reason)
+                ask()
+                wait_until(self.runtime, is_up, _CONNECT_ASK_S)
+        finally:
+            self._connecting = False
+
+    def overheard(self, by: str, time_ns: int) -> None:
+        """Record that another program commanded the drive, and so ended the active motion.
+
+        `by` names the command ("message 0Ch"). What the drive was told is forgotten in any case.
+        """
+        self.doubt()
+        run = self.physical.run
+        if run is not None:
+            self.physical.ownership.notice(run.owner)  # the error then names the new owner
+            self.physical.stopped_elsewhere(f"another program ({by})", time_ns)
+
+    # --- sending -------------------------------------------------------------------------------
+
+    def command(
+        self,
+        can_id: int,
+        data: bytes,
+        *,
+        fence: "BoundFence | None" = None,
+        flags: int | None = None,
+    ) -> SentFrame:
+        """Send a frame that may start or change a motion or a setting.
+
+        Args:
+            can_id: the identifier.
+            data: its data.
+            fence: the ownership of a stream (`stream_fence`); None: the present one.
+            flags: the flags of a CAN FD frame (1: bit rate switch); None: a classical frame.
+
+        Raises:
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: another user owns the motor, or has low-level access.
+        """
+        with self.physical.passage(self.label, of_holder=True):
+            return self._send(can_id, data, self._fence if fence is None else fence, flags)
+
+    def stop_command(self, can_id: int, data: bytes, *, flags: int | None = None) -> SentFrame:
+        """Send a frame that stops the drive: this needs no ownership. Raises as `command`."""
+        with self.physical.passage(self.label, of_holder=True):
+            return self._send(can_id, data, None, flags)
+
+    def request(
+        self, can_id: int, data: bytes = b"", *, remote: int | None = None, flags: int | None = None
+    ) -> SentFrame:
+        """Send a frame that only reads; `remote`: as a remote frame for so many bytes.
+
+        It passes low-level access, so that a drive stays heard: do not request in answer to a call
+        of a user; use `exchange`.
+        """
+        return self._send(can_id, data, None, flags, remote)
+
+    def exchange(
+        self,
+        request: Callable[[], object],
+        is_there: Callable[[], bool],
+        timeout_s: float,
+        awaited: str,
+    ) -> None:
+        """Send a request, and wait for its answer.
+
+        Args:
+            request: sends it.
+            is_there: returns True when the answer has been received.
+            timeout_s: longest time [s].
+            awaited: the answer, for the error.
+
+        Raises:
+            DeadlineExceeded: no answer came within `timeout_s`.
+            LinkError: the bus does not accept the frame, or went off.
+            MotorBusyError: another user has low-level access.
+        """
+        status, offs = self.status, self.status.offs
+        with self.physical.passage(self.label, of_holder=True):
+            request()
+            wait_until(self.runtime, lambda: is_there() or status.offs != offs, timeout_s)
+        if is_there():
+            return
+        if status.offs != offs:
+            raise status.failure()
+        raise DeadlineExceeded(
+            awaited=f"{self.label}: {awaited}",
+            timeout_s=timeout_s,
+            last_heard=status.trouble() or "nothing",
+        )
+
+    def confirm(self, sent: SentFrame, timeout_s: float = 0.5) -> int:
+        """Return when the frame, and so all frames before it, was on the bus [ns].
+
+        Raises:
+            LinkError: not within `timeout_s` [s], or the bus went off.
+        """
+        status, offs = self.status, self.status.offs
+        status.check()
+        self.runtime.wait_until(lambda: sent.time_ns is not None or status.offs != offs, timeout_s)
+        if sent.time_ns is not None:
+            return sent.time_ns
+        if status.offs != offs:
+            raise status.failure()
+        reason = f"a frame was not transmitted within {timeout_s:g} s"
+        trouble = status.trouble()
+        raise LinkError(link=self.label, reason=f"{reason}; {trouble}" if trouble else reason)
+
+    def stream_fence(self, purpose: str) -> "BoundFence | None":
+        """Return the fence of a stream that begins now; None: no other program can have the motor.
+
+        The owner of the stream calls `release` of the fence at its end.
+
+        Raises:
+            MotorBusyError: another program holds the motor.
+        """
+        return None if self._fence is None else self._fence.bound(purpose)
+
+    def note_traffic(
+        self, sent: tuple[PeriodicMessage, ...], ours: tuple[PeriodicMessage, ...] = ()
+    ) -> None:
+        """Declare periodic frames of the drive, and ours to it, for bounds of others on the bus."""
+        note_node(self._bus, self._node, NodeTraffic(sent=sent, ours=ours))
+
+    # --- what the drive was told ---------------------------------------------------------------
+
+    def remember(self, key: Hashable, value: object) -> None:
+        """Remember that the drive was told `value`; valid until another program has the motor."""
+        if self._told_token != self.physical.token:
+            self._told.clear()
+            self._told_token = self.physical.token
+        self._told[key] = value
+
+    def remembered(self, key: Hashable) -> Any:  # Any: what its caller remembered
+        """Return what the drive was told last under this key, or None if it is not known."""
+        return self._told.get(key) if self._told_token == self.physical.token else None
+
+    def doubt(self) -> None:
+        """Forget all that the drive was told."""
+        self._told.clear()
+
+    # --- helpers -------------------------------------------------------------------------------
+
+    def _send(
+        self,
+        can_id: int,
+        data: bytes,
+        fence: "NodeFence | BoundFence | None",
+        flags: int | None,
+        remote: int | None = None,
+    ) -> SentFrame:
+        from can import CanError
+
+        self.check_open()
+        self.status.check()
+        word = can_id | self._flag | (0 if remote is None else _REMOTE)
+        frame = pack(word, data, flags=flags, remote=remote)
+        sent = SentFrame(frame)
+        self._waiting.append(sent)
+        try:
+            if fence is None:
+                self.runtime.send(self._bus, frame)
+            else:
+                fence.send(frame)
+        except (CanError, OSError) as error:
+            self._waiting.remove(sent)
+            raise LinkError(link=self.label, reason=f"cannot send: {error}") from error
+        except BaseException:
+            self._waiting.remove(sent)
+            raise
+        return sent
+
+    def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        word = int.from_bytes(frame[:4], "little")
+        if transmitted:
+            self._note_sent(frame, time_ns)
+            return
+        handler = self._handlers.get(word)
+        if handler is not None:
+            handler(frame[_DATA_AT : _DATA_AT + frame[4]], time_ns)
+        elif word & ERROR_FLAG:
+            self._hear_controller(frame, time_ns)
+
+    def _note_sent(self, frame: bytes, time_ns: int) -> None:
+        """Note the transmission of a frame of this bus object, perhaps of another drive's."""
+        self.status.sent()
+        for sent in self._waiting:
+            if sent.is_of(frame):
+                sent.time_ns = time_ns
+                self._waiting.remove(sent)
+                return
+
+    def _hear_controller(self, message: bytes, time_ns: int) -> None:
+        """Handle an error message of the own CAN controller, which is not a frame from the bus."""
+        status, offs = self.status, self.status.offs
+        status.hear(message, time_ns)
+        if status.offs != offs:
+            self._waiting.clear()
+            self.news.grow()
+
+    def _look(self, sign: SignOfLife) -> None:
+        if sign.has_just_ended(self.runtime.now_ns()):
+            if sign.on_loss is not None:
+                sign.on_loss()
+            self.news.grow()
+
+
+def checked_node(node: object, limit: int, what: str) -> int:
+    """Return a node number of 0 to `limit`; `what` names it with its drive ("node_id of an X").
+
+    Raises:
+        UsageError: it is not one.
+    """
+    if not isinstance(node, int) or isinstance(node, bool) or not 0 <= node <= limit:
+        raise UsageError(f"{what} = {node!r}: out of range; expected 0 to {limit}")
+    return node
