@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
 from motorhil.harness.plugins import CONTROLLERS, named, own_eds
-from motorhil.harness.replay.frames import duration_ns, never
+from motorhil.harness.replay.frames import PAUSE_MAX_S, STRAY_NS, Pauses, duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.harness.rig.config.buses import CAN
 from motorhil.harness.rig.config.toml import RigError
@@ -36,7 +36,6 @@ from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
 from motorhil.traces.decoding.narrative import Line
 from motorhil.traces.decoding.objects import ObjectNames
-from motorhil.traces.errors import TraceError
 from motorhil.traces.exchange.host import (
     ANSWER,
     HostSide,
@@ -49,6 +48,7 @@ from motorhil.traces.exchange.host import (
     host_of,
     survey_of,
 )
+from motorhil.traces.formats.frames import NS
 from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.semantics.diff import (
@@ -67,8 +67,6 @@ if TYPE_CHECKING:
 
 PITCH_NS: Final = 1_000_000
 """The distance of recorded frames without time stamps [ns]."""
-PAUSE_MAX_NS: Final = 86_400 * 1_000_000_000
-"""The longest pause of a host that is replayed [ns]."""
 PATIENCE_NS: Final = 2_000_000_000
 IN_VAIN_MAX: Final = 3
 """The number of waits in vain in a row after which a silent subject gets no more patience."""
@@ -444,7 +442,9 @@ def bench_of(description: "RigDescription") -> Bench:
 
 
 @contextmanager
-def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterator[Path]:
+def prepared(
+    recording: Path, buses: Sequence[str], notes: list[str], longest_s: float = PAUSE_MAX_S
+) -> Iterator[Path]:
     """Provide a recording whose frames have times, and whose bus is one of these, if possible.
 
     Frames without time stamps get a pitch in their order. If a recording without a rig has one CAN
@@ -454,16 +454,17 @@ def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterato
         recording: a recording (MCAP).
         buses: the CAN buses of the devices.
         notes: list of remarks to which changes are added.
+        longest_s: the longest pause that is replayed [s].
 
     Raises:
-        TraceError: the recording cannot be read, or has a pause of more than a day.
+        TraceError: the recording cannot be read, or has a longer pause or a stray stamp.
     """
     with read_trace(recording) as trace:
         topics = {channel.topic for channel in trace.channels.values()}
         recorded = sorted(one for one in topics if one.startswith("/can/"))
         span_ns = trace.span_ns()
-        if span_ns is not None and span_ns[1] - span_ns[0] > PAUSE_MAX_NS:
-            _require_short_pauses(trace, recording)
+        if span_ns is not None and span_ns[1] - span_ns[0] > min(STRAY_NS, longest_s * NS):
+            _require_short_pauses(trace, recording, longest_s)
         has_lines = any(one.startswith("/modbus/") for one in topics)
         has_rig = any(rig_in(one.data) for one in trace.attachments)
         renamed = {}
@@ -489,19 +490,12 @@ def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterato
             yield target
 
 
-def _require_short_pauses(trace: Trace, recording: Path) -> None:
-    """Raise TraceError for a pause that no host makes: it would be waited for, for ever."""
-    before_ns = None
-    for place, (_, time_ns, _) in enumerate(trace.messages()):
-        if before_ns is not None and time_ns - before_ns > PAUSE_MAX_NS:
-            pause_s, most_s = (time_ns - before_ns) / 1e9, PAUSE_MAX_NS / 1e9
-            raise TraceError(
-                f"{recording}",
-                f"message {place + 1} is {pause_s:.6g} s after the one before it;"
-                f" expected at most {most_s:g} s",
-                remedy="correct its time stamp, or replay a part by --from and --to",
-            )
-        before_ns = time_ns
+def _require_short_pauses(trace: Trace, recording: Path, longest_s: float) -> None:
+    """Raise TraceError for a stamp that is wrong, or a pause that would be waited for in vain."""
+    pauses = Pauses()
+    for channel, time_ns, _ in trace.messages():
+        pauses.take(channel.topic.rpartition("/")[2], time_ns)
+    pauses.refuse(str(recording), longest_s)
 
 
 def _copy(trace: Trace, writer: TraceWriter, renamed: Mapping[str, str], pitch_ns: int) -> None:
