@@ -51,6 +51,7 @@ _OF_MODES: Final = {
     "--on": ("on", ("host", "traffic")),
     "--bitrate": ("bitrate", ("host", "traffic")),
     "--speed": ("speed", ("host", "traffic")),
+    "--max-pause": ("max_pause", ("host", "traffic")),
     "--json": ("json", ("host", "traffic")),
     "--partial": ("partial", ("device",)),
     "--reset": ("reset", ("host",)),
@@ -113,6 +114,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_speed,
         metavar="X",
         help="pauses of the host, or all traffic, X times faster; max: traffic without pauses",
+    )
+    parser.add_argument(
+        "--max-pause",
+        type=real(1.0, 1e9, "s"),
+        metavar="S",
+        help="refuse a recording with a longer pause between two frames (default: a day)",
     )
     parser.add_argument(
         "--patience",
@@ -271,6 +278,7 @@ def replay_as_host(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, or the new one cannot be written.
     """
     from motorhil.harness.recording.sources import PlaceError
+    from motorhil.harness.replay.frames import PAUSE_MAX_S
     from motorhil.harness.replay.host import compared, prepared
     from motorhil.harness.rig.config.buses import CAN
     from motorhil.traces.semantics.diff import Tolerance
@@ -284,7 +292,9 @@ def replay_as_host(options: argparse.Namespace) -> int:
             description = None if options.on else _described_host(options, folder)
             if description is not None:
                 buses = [bus for bus, one in description.buses.items() if one.kind == CAN]
-            options.file = cleanup.enter_context(prepared(options.file, buses, notes))
+            options.file = cleanup.enter_context(
+                prepared(options.file, buses, notes, options.max_pause or PAUSE_MAX_S)
+            )
             if description is None:
                 done = _on_buses(options, live)
             else:
@@ -435,10 +445,16 @@ def replay_traffic(options: argparse.Namespace) -> int:
 
     Raises:
         RigError: the recording or the rig cannot be used.
-        TraceError: the recording cannot be read.
+        TraceError: the recording cannot be read, or has too long a pause.
     """
     from motorhil.harness.recording.sources import PlaceError
-    from motorhil.harness.replay.frames import SendError, TrafficReplay, refuse_long, survey
+    from motorhil.harness.replay.frames import (
+        PAUSE_MAX_S,
+        SendError,
+        TrafficReplay,
+        refuse_long,
+        survey,
+    )
 
     choice = _choice(options)
     findings = Findings()
@@ -448,6 +464,8 @@ def replay_traffic(options: argparse.Namespace) -> int:
         print(f"{options.named}: {problem}", file=sys.stderr)
     if not found.frames:
         raise RigError(options.file, "holds no CAN frame to send", "change or drop the filters")
+    if options.speed != math.inf:
+        found.pauses.refuse(str(options.named), options.max_pause or PAUSE_MAX_S)
     with ExitStack() as cleanup:
         try:
             sinks, runtime = _open(options, list(found.frames), cleanup)

@@ -5,6 +5,10 @@ never from the transmission of the previous frame. Delays therefore do not accum
 or a day. A delay of the machine affects only the frames of that moment, and is measured.
 
 The same code serves virtual time and wall time; it waits only in a Runtime.
+
+The cost of a replay grows with its frames and, in virtual time, with the frames that the rig sends
+in between: some milliseconds of processor time for a second with ten heartbeats. A pause of a day
+therefore takes minutes. Longer ones are refused unless allowed, and so are damaged stamps.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -17,9 +21,14 @@ from motorhil.motorapi.runtime.api import Runtime
 from motorhil.traces.can_frame import EFF_MASK, ERR
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
+from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import NS, Frame
 
 STUCK_S: Final = 2.0
+PAUSE_MAX_S: Final = 86_400.0
+"""The longest pause that is replayed by default [s]."""
+STRAY_NS: Final = 60 * NS
+"""How far a stamp may be after both its neighbours, or before both [ns]."""
 _CLASSIC_SIZE: Final = 16
 _BITS: Final = 6  # values are kept to 1 part in 32
 
@@ -96,6 +105,65 @@ class Choice:
 
 
 @final
+class Pauses:
+    """The longest pause that a replay keeps, and a stamp that contradicts both its neighbours.
+
+    A replay waits for each stamp beyond all before it, and first of all for the earliest stamp.
+    """
+
+    def __init__(self) -> None:
+        self._first_ns: int | None = None
+        self._earliest = (0, "")  # with its bus
+        self._latest_ns = 0
+        self._longest = (0, 0, "")  # with its end and bus
+        self._stray: tuple[int, int, str] | None = None
+        self._last: dict[str, tuple[int, int]] = {}  # two stamps, by bus
+
+    def take(self, bus: str, time_ns: int) -> None:
+        """Take the stamp of the next message on a bus [ns]."""
+        if self._first_ns is None:
+            self._first_ns = self._latest_ns = time_ns
+            self._earliest = time_ns, bus
+        if time_ns < self._earliest[0]:
+            self._earliest = time_ns, bus
+        elif time_ns > self._latest_ns:
+            if time_ns - self._latest_ns > self._longest[0]:
+                self._longest = time_ns - self._latest_ns, time_ns, bus
+            self._latest_ns = time_ns
+        before_ns, stamp_ns = self._last.get(bus, (time_ns, time_ns))
+        if self._stray is None and abs(stamp_ns - before_ns) > STRAY_NS:
+            off_ns = min(stamp_ns - before_ns, stamp_ns - time_ns, key=abs)
+            if (stamp_ns > before_ns) is (stamp_ns > time_ns) and abs(off_ns) > STRAY_NS:
+                self._stray = off_ns, stamp_ns, bus
+        self._last[bus] = stamp_ns, time_ns
+
+    def refuse(self, recording: str, longest_s: float) -> None:
+        """Raise TraceError for a stray stamp, or for a pause of more than `longest_s`."""
+        if self._stray is not None:
+            off_ns, stamp_ns, bus = self._stray
+            side = "after" if off_ns > 0 else "before"
+            raise TraceError(
+                recording,
+                f"the stamp {stamp_ns / NS:.6f} s on {bus} is {abs(off_ns) / NS:.6g} s {side} both "
+                f"its neighbours; expected at most {STRAY_NS // NS} s",
+                remedy="correct it, or remove this frame",
+            )
+        pause_ns, stamp_ns, bus = self._longest
+        lead_ns = (self._first_ns or 0) - self._earliest[0]
+        what = f"{pause_ns / NS:.6g} s after all before it"
+        if lead_ns > pause_ns:
+            pause_ns, (stamp_ns, bus) = lead_ns, self._earliest
+            what = f"{lead_ns / NS:.6g} s before the first of the recording"
+        if pause_ns > longest_s * NS:
+            raise TraceError(
+                recording,
+                f"the stamp {stamp_ns / NS:.6f} s on {bus} is {what}; "
+                f"expected at most {longest_s:g} s",
+                remedy="correct it, or allow this pause by --max-pause",
+            )
+
+
+@final
 @dataclass(slots=True)
 class Survey:
     """Summary of the frames to send.
@@ -103,6 +171,7 @@ class Survey:
     Attributes:
         frames, long_frames, error_frames: numbers of all, CAN FD and error frames, by bus.
         first_ns, last_ns: the earliest and the latest log time [ns].
+        pauses: the pauses between them.
     """
 
     frames: dict[str, int] = field(default_factory=dict)
@@ -110,6 +179,7 @@ class Survey:
     error_frames: dict[str, int] = field(default_factory=dict)
     first_ns: int = 0
     last_ns: int = 0
+    pauses: Pauses = field(default_factory=Pauses)
 
     @property
     def span_ns(self) -> int:
@@ -124,6 +194,7 @@ def survey(frames: Iterable[Frame]) -> Survey:
     for time_ns, bus, data, _, _ in frames:
         first = time_ns if first is None or time_ns < first else first
         found.last_ns = max(found.last_ns, time_ns)
+        found.pauses.take(bus, time_ns)
         found.frames[bus] = found.frames.get(bus, 0) + 1
         if len(data) > _CLASSIC_SIZE:
             found.long_frames[bus] = found.long_frames.get(bus, 0) + 1

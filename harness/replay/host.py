@@ -6,6 +6,11 @@ host's last frame. An observation that does not arrive within the patience after
 The player notes it and continues, as a human operator would. The host's own heartbeat waits for
 nothing, and continues while there are steps to send.
 
+Virtual time costs per frame on the bus, so a wait in vain costs what the periodic frames of its
+seconds cost. A subject that has let three waits in a row pass without any report gets no patience,
+only its recorded time, until it reports again. Their cost is thus bounded by the number of silent
+subjects, not by the number of frames.
+
 A recording may begin when its devices had booted already. The player then waits until the live
 devices have booted, and both sides are compared from the host's first frame on. Both are decoded
 with the same names and objects: those of the recording, completed by those of the rig.
@@ -20,7 +25,7 @@ from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
 from motorhil.harness.plugins import CONTROLLERS, named, own_eds
-from motorhil.harness.replay.frames import duration_ns, never
+from motorhil.harness.replay.frames import PAUSE_MAX_S, STRAY_NS, Pauses, duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.harness.rig.config.buses import CAN
 from motorhil.harness.rig.config.toml import RigError
@@ -31,7 +36,6 @@ from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
 from motorhil.traces.decoding.narrative import Line
 from motorhil.traces.decoding.objects import ObjectNames
-from motorhil.traces.errors import TraceError
 from motorhil.traces.exchange.host import (
     ANSWER,
     HostSide,
@@ -44,6 +48,7 @@ from motorhil.traces.exchange.host import (
     host_of,
     survey_of,
 )
+from motorhil.traces.formats.frames import NS
 from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.semantics.diff import (
@@ -62,9 +67,9 @@ if TYPE_CHECKING:
 
 PITCH_NS: Final = 1_000_000
 """The distance of recorded frames without time stamps [ns]."""
-PAUSE_MAX_NS: Final = 86_400 * 1_000_000_000
-"""The longest pause of a host that is replayed [ns]."""
 PATIENCE_NS: Final = 2_000_000_000
+IN_VAIN_MAX: Final = 3
+"""The number of waits in vain in a row after which a silent subject gets no more patience."""
 _NEVER_NS: Final = 1 << 62
 _RESET_ALL: Final = classic(0, b"\x81\x00")
 """The frame of NMT service "reset node" to all nodes (CiA 301)."""
@@ -134,6 +139,7 @@ class HostPlayer:
         sent: number of frames sent, without heartbeats.
         unsent: number of recorded host frames that cannot be sent (CAN FD, malformed).
         missed: the observations that did not arrive.
+        silent: the subjects that got no patience at least once, because they reported nothing.
         pairs: (recorded time, live time) of frames that were on their bus [ns].
         booted: buses and node-IDs of the devices that have booted.
     """
@@ -150,6 +156,7 @@ class HostPlayer:
         self.sent: int = 0
         self.unsent = 0
         self.missed: list[Missed] = []
+        self.silent: set[Subject] = set()
         self.pairs: list[tuple[int, int]] = []
         self.booted: set[tuple[str, int]] = set()
         self._steps = [step for step in steps if not step.is_free]
@@ -163,6 +170,7 @@ class HostPlayer:
         self._patience_ns = patience_ns
         self._told: dict[Subject, list[Told]] = {}
         self._seen: dict[Subject, int] = {}
+        self._in_vain: dict[Subject, int] = {}  # waits since the last report
         self._anchor = (begin_ns, 0)  # the last known pair of recorded and live time
         self._lines = frozenset(lines)
         self._waiting_since_ns = 0
@@ -201,12 +209,12 @@ class HostPlayer:
         if not self._is_started:
             return
         for told in self._listener.told(now_ns, bus, said):
-            self._told.setdefault(told.subject, []).append(told)
+            self._has_reported(told)
 
     def answered(self, line: str, unit: int, now_ns: int) -> None:
         """Handle a complete answer of a unit on a live line."""
         subject = (line, unit, ANSWER)
-        self._told.setdefault(subject, []).append(Told(now_ns, subject, True, "its answer"))
+        self._has_reported(Told(now_ns, subject, True, "its answer"))
 
     def next_deadline_ns(self) -> int | None:
         """Return when `take` is due if nothing is heard before [ns]."""
@@ -245,6 +253,10 @@ class HostPlayer:
 
     # ------------------------------------------------------------------------------ inside
 
+    def _has_reported(self, told: Told) -> None:
+        self._told.setdefault(told.subject, []).append(told)
+        self._in_vain.pop(told.subject, None)
+
     def _begin(self) -> None:
         """Set up the observations that the next step waits for."""
         if not self.is_over():
@@ -274,13 +286,20 @@ class HostPlayer:
     def _patient_until_ns(self) -> int:
         """Return when this step stops waiting [ns]; its recorded wait may be minutes (homing)."""
         recorded_ns, live_ns = self._anchor
-        pause_ns = round((self._waits[0].time_ns - recorded_ns) / self._speed)
-        return max(self._waiting_since_ns, live_ns + pause_ns) + self._patience_ns
+        awaited = self._waits[0]
+        until_ns = live_ns + round((awaited.time_ns - recorded_ns) / self._speed)
+        if self._in_vain.get(awaited.subject, 0) >= IN_VAIN_MAX:
+            return until_ns
+        return max(self._waiting_since_ns, until_ns) + self._patience_ns
 
     def _give_up(self, now_ns: int) -> None:
         """Give up the observation that this step waits for."""
         awaited = self._waits.pop(0)
         heard = self._told.get(awaited.subject, [])
+        waits = self._in_vain.get(awaited.subject, 0)
+        self._in_vain[awaited.subject] = waits + 1
+        if waits >= IN_VAIN_MAX:
+            self.silent.add(awaited.subject)
         if awaited.subject[2] == ANSWER:
             instead = "no answer"
             self._given_up.add(awaited.subject)
@@ -423,7 +442,9 @@ def bench_of(description: "RigDescription") -> Bench:
 
 
 @contextmanager
-def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterator[Path]:
+def prepared(
+    recording: Path, buses: Sequence[str], notes: list[str], longest_s: float = PAUSE_MAX_S
+) -> Iterator[Path]:
     """Provide a recording whose frames have times, and whose bus is one of these, if possible.
 
     Frames without time stamps get a pitch in their order. If a recording without a rig has one CAN
@@ -433,16 +454,17 @@ def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterato
         recording: a recording (MCAP).
         buses: the CAN buses of the devices.
         notes: list of remarks to which changes are added.
+        longest_s: the longest pause that is replayed [s].
 
     Raises:
-        TraceError: the recording cannot be read, or has a pause of more than a day.
+        TraceError: the recording cannot be read, or has a longer pause or a stray stamp.
     """
     with read_trace(recording) as trace:
         topics = {channel.topic for channel in trace.channels.values()}
         recorded = sorted(one for one in topics if one.startswith("/can/"))
         span_ns = trace.span_ns()
-        if span_ns is not None and span_ns[1] - span_ns[0] > PAUSE_MAX_NS:
-            _require_short_pauses(trace, recording)
+        if span_ns is not None and span_ns[1] - span_ns[0] > min(STRAY_NS, longest_s * NS):
+            _require_short_pauses(trace, recording, longest_s)
         has_lines = any(one.startswith("/modbus/") for one in topics)
         has_rig = any(rig_in(one.data) for one in trace.attachments)
         renamed = {}
@@ -468,19 +490,12 @@ def prepared(recording: Path, buses: Sequence[str], notes: list[str]) -> Iterato
             yield target
 
 
-def _require_short_pauses(trace: Trace, recording: Path) -> None:
-    """Raise TraceError for a pause that no host makes: it would be waited for, for ever."""
-    before_ns = None
-    for place, (_, time_ns, _) in enumerate(trace.messages()):
-        if before_ns is not None and time_ns - before_ns > PAUSE_MAX_NS:
-            pause_s, most_s = (time_ns - before_ns) / 1e9, PAUSE_MAX_NS / 1e9
-            raise TraceError(
-                f"{recording}",
-                f"message {place + 1} is {pause_s:.6g} s after the one before it;"
-                f" expected at most {most_s:g} s",
-                remedy="correct its time stamp, or replay a part by --from and --to",
-            )
-        before_ns = time_ns
+def _require_short_pauses(trace: Trace, recording: Path, longest_s: float) -> None:
+    """Raise TraceError for a stamp that is wrong, or a pause that would be waited for in vain."""
+    pauses = Pauses()
+    for channel, time_ns, _ in trace.messages():
+        pauses.take(channel.topic.rpartition("/")[2], time_ns)
+    pauses.refuse(str(recording), longest_s)
 
 
 def _copy(trace: Trace, writer: TraceWriter, renamed: Mapping[str, str], pitch_ns: int) -> None:
@@ -598,6 +613,14 @@ def drive(
     strangers = frozenset(present or ()) - {*found.running(), *found.nodes()}
     if strangers:
         notes.append(f"not in the recording, so not compared: {_listed(strangers)}")
+    if player.silent:
+        listed = ", ".join(
+            f"{bus} node {node}: {what}" for bus, node, what in sorted(player.silent)
+        )
+        notes.append(
+            f"silent during {IN_VAIN_MAX} waits in a row, so awaited without patience from then "
+            f"on: {listed}"
+        )
     return HostReplay(player, Reading(names, side, strangers, from_ns), notes)
 
 

@@ -310,13 +310,13 @@ class HostCutter:
         self._sent: list[tuple[int, HostStep]] = []
         self._told: list[tuple[int, Told]] = []
         self._place = 0
-        self._free_ns: dict[str, int] = {}  # by bus: the end of its last frame
+        self._ended_ns: dict[str, int] = {}  # by bus: the time of its last frame
 
     def take_frame(self, time_ns: int, bus: str, frame: bytes, direction: Direction) -> None:
         """Take a frame that was complete on a CAN bus."""
         said = self._listener.decode(bus, frame)
-        free_ns = self._free_ns.get(bus, 0)
-        self._free_ns[bus] = max(free_ns, time_ns)
+        ended_ns = self._ended_ns.get(bus, 0)
+        self._ended_ns[bus] = time_ns
         self._place += 1
         is_remote = bool(int.from_bytes(frame[:4], "little") & RTR)
         if not self._side.sent(said, direction, is_remote):
@@ -324,8 +324,11 @@ class HostCutter:
             self._told += [(self._place, one) for one in told]
         elif not int.from_bytes(frame[:4], "little") & ERR:
             try:
+                start_ns = time_ns - self._length_ns(bus, frame)
                 # A bus carries one frame after the other, also where the stamps are too coarse.
-                start_ns = max(time_ns - self._length_ns(bus, frame), free_ns)
+                # A stamp before the last one says nothing about its end.
+                if ended_ns <= time_ns:
+                    start_ns = max(start_ns, ended_ns)
             except ValueError:  # CAN FD, or an invalid frame
                 self.unsent += 1
                 return

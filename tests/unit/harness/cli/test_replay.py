@@ -132,15 +132,32 @@ def test_as_host_with_missing_drive_reports_it(folder, say):
     assert "waited in vain: right (2) has booted" in out
 
 
-def test_as_host_refuses_a_pause_of_years(folder, say):
+@pytest.mark.parametrize("mode", [("host",), ("traffic", "--on", "can0")])
+def test_replay_refuses_a_pause_of_years(folder, say, mode):
     """Replay would wait for its end, with all heartbeats of the devices meanwhile."""
     (folder / "gap.log").write_text(
         "(0.1) can0 601#4000100000000000\n(4000000000.0) can0 601#4018100100000000\n"
     )
     rig = other_rig(folder, ("wheel_60w", "wheel_60w"))
-    status, _, err = say("replay", "gap.log", "--as", "host", "--rig", rig)
+    status, _, err = say("replay", "gap.log", "--as", *mode, "--rig", rig)
     assert status == 2
-    assert "message 2 is 4e+09 s after the one before it; expected at most 86400 s" in err
+    assert err.splitlines()[-1] == (
+        "gap.log: the stamp 4000000000.000000 s on can0 is 4e+09 s after all before it; expected "
+        "at most 86400 s; correct it, or allow this pause by --max-pause"
+    )
+
+
+def test_max_pause_allows_longer_and_refuses_shorter(folder, say):
+    rows = "(0.1) can0 123#00\n(200000.1) can0 123#01\n"
+    (folder / "weekend.log").write_text(rows)
+    node = '[controller.io]\nkind = "cia401"\nbus = "can0"\nnode_id = 1\n'
+    (folder / "io.toml").write_text(f"[bus.can0]\nbitrate_bit_s = 1_000_000\n{node}")
+    words = ("replay", "weekend.log", "--as", "traffic", "--rig", "io.toml", "--max-pause")
+    status, _, err = say(*words, "199999")
+    assert (status, "expected at most 199999 s" in err) == (2, True)
+    status, out, err = say(*words, "200000", "--json")
+    told = json.loads(out)
+    assert (status, told["sent"], told["took_ns"] >= 200_000 * 10**9) == (0, {"can0": 2}, True)
 
 
 @pytest.mark.parametrize(

@@ -131,6 +131,38 @@ def test_long_recorded_wait_is_extended_by_patience(speed, wait_ms):
     assert len(player.missed) == 1
 
 
+def silent_after_three():
+    """Return a player whose device has let three waits pass; the fourth request is due."""
+    player = started(
+        *(step(10 * place, *[answer(10 * place - 5)] * (place > 0)) for place in range(6))
+    )
+    for _ in range(3):
+        player.take(player.next_deadline_ns())
+        player.take(player.next_deadline_ns())
+    return player
+
+
+def test_silent_device_gets_patience_three_times():
+    player = silent_after_three()
+    assert len(player.missed) == 3
+    sent_ns = player.next_deadline_ns()
+    player.take(sent_ns)
+    assert player.next_deadline_ns() == sent_ns + 5 * MS
+    player.take(sent_ns + 5 * MS)
+    assert player.silent == {("can0", 5, ANSWER)}
+
+
+def test_device_that_answers_again_gets_patience():
+    player = silent_after_three()
+    sent_ns = player.next_deadline_ns()
+    player.take(sent_ns)
+    player.heard("can0", ANSWERED, sent_ns + 1 * MS, False)
+    sent_ns = player.next_deadline_ns()
+    player.take(sent_ns)
+    assert player.next_deadline_ns() == sent_ns + 5 * MS + PATIENCE
+    assert player.silent == set()
+
+
 def test_awaited_state_is_matched_by_value():
     def waiting():
         return started(step(0, state(0, OPERATIONAL)), patience_ns=100 * MS)

@@ -12,8 +12,10 @@ import pytest
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.harness.cli.main import main
 from motorhil.harness.replay.frames import (
+    STRAY_NS,
     STUCK_S,
     Choice,
+    Pauses,
     SendError,
     TrafficReplay,
     refuse_long,
@@ -23,6 +25,7 @@ from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.traces.can_frame import ERR, flexible
+from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import Findings, Frame
 from motorhil.traces.formats.registry import record_frames, recorded_frames
 from motorhil.traces.mcap.reader import read_trace
@@ -136,6 +139,49 @@ def test_backward_stamps_keep_file_order(runtime):
     TrafficReplay({"can0": sink}, runtime, survey(frames).first_ns).run(frames)
     assert [frame[0] for _, frame in sink.sent] == [0, 1, 2, 3]
     assert [(at - began) // MS for at, _ in sink.sent] == [2, 2, 6, 6]
+
+
+def refusal(*stamps_ns, longest_s=86_400.0):
+    """Return the message about these stamps on one bus, or ""."""
+    pauses = Pauses()
+    for stamp_ns in stamps_ns:
+        pauses.take("can0", stamp_ns)
+    try:
+        pauses.refuse("it.log", longest_s)
+    except TraceError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_stamp_apart_from_both_neighbours_is_refused(side):
+    near, far = BEGIN + side * STRAY_NS, BEGIN + side * (STRAY_NS + 1)
+    assert refusal(BEGIN, near, BEGIN) == ""
+    word = "after" if side > 0 else "before"
+    assert f"is 60 s {word} both its neighbours; expected at most 60 s" in refusal(
+        BEGIN, far, BEGIN
+    )
+    assert refusal(BEGIN, far, far) == ""  # a rest, or a clock that was set
+
+
+@pytest.mark.parametrize(
+    "stamps_s", [(0, 30_000, 30_001), (0, 86_400), (86_400, 0, 1), (0, 80_000, 80_001, 160_000)]
+)
+def test_pauses_of_up_to_a_day_are_replayed(stamps_s):
+    assert refusal(*(BEGIN + stamp_s * S for stamp_s in stamps_s)) == ""
+
+
+def test_pause_before_the_first_frame_counts():
+    """A later frame has the earliest stamp; the replay begins with that."""
+    told = refusal(BEGIN, BEGIN - 86_400 * S - 1, BEGIN - 86_400 * S)
+    assert "is 86400 s before the first of the recording; expected at most 86400 s" in told
+
+
+def test_stamps_are_compared_on_their_own_bus():
+    pauses = Pauses()
+    for number in range(6):  # two recorders whose clocks are an hour apart
+        pauses.take(f"can{number % 2}", BEGIN + number % 2 * 3600 * S + number)
+    pauses.refuse("it.log", 86_400.0)
 
 
 def test_choice_by_identifier_excludes_error_frames():

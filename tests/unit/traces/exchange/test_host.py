@@ -66,6 +66,16 @@ def test_order_of_equal_stamps_is_that_of_the_recording():
     assert [step.frame[8:10].hex() for step in cutter.steps()] == list(words)
 
 
+def test_repeated_part_keeps_its_own_times():
+    """Frames at 20 and 30 ms stand in the file twice; all of the second copy is earlier."""
+    part = [(20, WRITE), (22, TAKEN), (30, WRITE), (32, TAKEN)]
+    steps = cut((10, WRITE), (12, TAKEN), *part, *part, (40, WRITE))
+    assert [one.start_ns for one in steps] == [
+        stamp * MS - LENGTH for stamp in (10, 20, 20, 30, 30, 40)
+    ]
+    assert [waits(one) for one in steps] == [[], [12], [], [22, 22], [], [32, 32]]
+
+
 def test_answer_of_the_same_stamp_is_awaited_by_the_next_step():
     first, second = cut((10, WRITE), (10, TAKEN), (10, WRITE))
     assert [waits(first), waits(second)] == [[], [10]]
