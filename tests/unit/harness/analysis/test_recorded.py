@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from motorhil.harness.analysis.measured import Heard, measured
 from motorhil.motorapi.synchronization.can_response_time import Arrival, Message
+from tests.benchmarks.bench_start import visited_by
 from tests.support.recordings.message_sets import MS, US
 
 
@@ -50,6 +51,12 @@ def test_pause_does_not_change_the_period():
     times = [10 * MS * n for n in range(30)] + [10 * MS * n for n in range(100, 130)]
     message = measured(_heard(times), 1300 * MS).message
     assert (message.period_ns, message.jitter_ns, message.irregular_ns) == (10 * MS, 0, 0)
+
+
+def test_rows_repeated_with_their_stamps_are_measured_once():
+    times = [10 * MS * n + n % 3 * US for n in range(30) for _ in range(100)]
+    calls = visited_by(lambda: measured(_heard(times), 300 * MS))
+    assert sum(calls.values()) < 20 * len(times)
 
 
 def test_irregular_message_is_sporadic_with_least_distance():
