@@ -172,7 +172,7 @@ def _period_ns(runs: list[list[int]], low_ns: int, high_ns: int) -> int:
 
     The spread grows with the distance from that period, on either side.
     """
-    hulls = [(_hull(run, 1), _hull(run, -1)) for run in runs]
+    hulls = [(_hull(run, 1), _hull(run, -1)) for run in runs if len(run) > 1]  # one has no spread
 
     def spread(period: int) -> int:
         return max(

@@ -331,7 +331,7 @@ def are_in_time(
         return False
     doubted = [flow for flow in timed if flow.rank in doubtful]
     while levels.settle_further():
-        if not are_on_time(doubted):
+        if any(flow.is_late() for flow in timed) or not are_on_time(doubted):
             return False
     if not are_on_time(timed):
         return False
@@ -392,6 +392,13 @@ class Flow:
     def of(cls, load: BusLoad, message: Message) -> "Flow":
         """Return the message as it is sent on this bus."""
         return cls(message, message.rank, load.takes_ns(message))
+
+    def is_late(self) -> bool:
+        """Return True if its delay in a shared queue alone exceeds its deadline."""
+        deadline_ns = self.message.deadline_ns
+        if deadline_ns is None or self.late_ns is None:
+            return False
+        return self.late_ns + self.takes_ns > deadline_ns
 
     def most(self, window_ns: int) -> int:
         """Return the maximum number of frames queued in any window of this length."""

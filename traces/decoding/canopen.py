@@ -10,12 +10,20 @@ codes, PDO); CiA 402-2 for the emergencies of drives.
 
 import struct
 from collections.abc import Mapping
-from typing import Final, final
+from dataclasses import replace
+from typing import Final, NamedTuple, final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.can_errors import bus_error
 from motorhil.traces.decoding.cia402 import controlword_text, mode_text, statusword_text
-from motorhil.traces.decoding.events import CONTROLLER, FOREIGN, DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.events import (
+    CONTROLLER,
+    FOREIGN,
+    DecodedEvent,
+    Fact,
+    Kind,
+    Value,
+)
 from motorhil.traces.decoding.objects import ObjectName, ObjectNames, axis_of, value_of, value_text
 from motorhil.traces.decoding.pdo import PdoKey, PdoMaps
 from motorhil.traces.decoding.sdo import SdoReader, SdoStep, Step
@@ -26,6 +34,7 @@ _STATUSWORD: Final = 0x6041
 _MODE: Final = (0x6060, 0x6061)
 _DRIVES: Final = (402, 0xFFFF)
 """Low word of the device type 1000h: a drive, or several devices with a profile each."""
+_OBJECTS_KEPT: Final = 4096  # of a node
 _RESETS: Final = (0x81, 0x82)
 _MOTION: Final = frozenset(
     (
@@ -159,6 +168,15 @@ def emergency_text(code: int) -> str:
     return found or _EMERGENCY_GROUPS.get(code >> 8 & 0xF0, "a code that is not in CiA 301")
 
 
+class _Object(NamedTuple):
+    """An object of a node: name and kind, axis, index on the first axis, subject of its facts."""
+
+    name: ObjectName
+    axis: int
+    first: int
+    subject: str
+
+
 @final
 class _Node:
     """The known facts about a node."""
@@ -170,14 +188,28 @@ class _Node:
         self.is_drive = True  # until its device type shows otherwise
         self.modes: dict[int, int] = {}  # modes of operation by axis
         self.controlwords: dict[int, int] = {}
+        self._objects: dict[tuple[int, int], _Object] = {}
 
-    def place(self, index: int) -> tuple[int, int]:
+    def be_drive(self, is_drive: bool) -> None:
+        """Name the objects from 6000h on by CiA 402 only if this is a drive."""
+        self.is_drive = is_drive
+        self._objects.clear()
+
+    def object(self, index: int, subindex: int) -> _Object:
+        """Return an object, which most frames of a recording name again and again."""
+        found = self._objects.get((index, subindex))
+        if found is None:
+            name = self.names.of(index, subindex, self.is_drive)
+            subject = f"{place_text(index, subindex)} {name.text}".strip()
+            if len(self._objects) >= _OBJECTS_KEPT:
+                self._objects.clear()
+            found = _Object(name, *self._place(index), subject)
+            self._objects[index, subindex] = found
+        return found
+
+    def _place(self, index: int) -> tuple[int, int]:
         """Return axis and index on the first axis; index 0 for device objects of a non-drive."""
         return axis_of(index) if self.is_drive or index < 0x6000 else (1, 0)
-
-    def name_of(self, index: int, subindex: int) -> ObjectName:
-        """Return an object's name; from 6000h on by CiA 402 only if this is a drive."""
-        return self.names.of(index, subindex, self.is_drive)
 
 
 @final
@@ -329,21 +361,24 @@ class CanopenDecoder:
 
     def _sdo_text(self, node: _Node, step: SdoStep, from_server: bool) -> str:
         if step.index is None or step.subindex is None:
-            what, kind = "an object (the beginning was not recorded)", ""
+            what = "an object (the beginning was not recorded)"
+            known = node.object(0, 0)
         else:
-            name = node.name_of(step.index, step.subindex)
-            what = f"{place_text(step.index, step.subindex)} {name.text}".strip()
-            kind = name.kind
+            known = node.object(step.index, step.subindex)
+            what = known.subject
         who = f"SDO {node.name}" if from_server else f"SDO to {node.name}"
         if step.step is Step.ABORT:
             return f"{who}: abort of {what}: {abort_text(step.abort_code)} ({step.abort_code:08X}h)"
         value = ""
         if step.step in (Step.UPLOADED, Step.DOWNLOAD) and step.index is not None:
-            value = " = " + self._value_text(node, step.index, kind, step.data)
+            value = " = " + _value_text(
+                node, known, step.data, value_of(known.name.kind, step.data)
+            )
         elif step.data:
             value = f": {step.data.hex(' ').upper()}"
         if step.step is Step.SEGMENT_UPLOADED and step.whole is not None and step.index:
-            value += "; whole = " + self._value_text(node, step.index, kind, step.whole)
+            whole = value_of(known.name.kind, step.whole)
+            value += "; whole = " + _value_text(node, known, step.whole, whole)
         size = "" if step.size is None else f", {step.size} bytes"
         word = {Step.ASK_UPLOAD: "read", Step.DOWNLOAD: "write", Step.UPLOADED: ""}.get(
             step.step, step.step.value
@@ -355,38 +390,20 @@ class CanopenDecoder:
     ) -> tuple[Fact, ...]:
         """Return the facts of an object's value, and learn from it."""
         node = self._node(number)
-        name = node.name_of(index, subindex)
-        value = value_of(name.kind, data)
-        axis, first = node.place(index)
+        known = node.object(index, subindex)
+        axis, first = known.axis, known.first
+        value = value_of(known.name.kind, data)
         if isinstance(value, int):
             self.maps.learn(number, index, subindex, value)
             if index == 0x1000:
-                node.is_drive = value & 0xFFFF in _DRIVES
+                node.be_drive(value & 0xFFFF in _DRIVES)
             if first in _MODE and value:
                 node.modes[axis] = value
-        text = self._value_text(node, index, name.kind, data)
+        text = _value_text(node, known, data, value)
         if first == _CONTROLWORD and told_to and isinstance(value, int):
             node.controlwords[axis] = value
-        subject = f"{place_text(index, subindex)} {name.text}".strip()
         # A set-point by SDO is an ordinary command; a stream of set-points is motion.
-        return (Fact(subject, value, text, told_to, first in _MOTION and not told_to),)
-
-    @staticmethod
-    def _value_text(node: _Node, index: int, kind: str, data: bytes) -> str:
-        value = value_of(kind, data)
-        axis, first = node.place(index)
-        if isinstance(value, int):
-            mode = node.modes.get(axis, 0)
-            if first == _CONTROLWORD:
-                words = controlword_text(value, mode, node.controlwords.get(axis))
-                return f"{value:04X}h {words}"
-            if first == _STATUSWORD:
-                return f"{value:04X}h {statusword_text(value, mode)}"
-            if first in _MODE:
-                return f"{value} {mode_text(value)}"
-            if first == 0x603F:
-                return f"{value:04X}h {emergency_text(value)}"
-        return value_text(kind, data)
+        return (Fact(known.subject, value, text, told_to, first in _MOTION and not told_to),)
 
     # --------------------------------------------------------------------------------- PDO
 
@@ -431,9 +448,25 @@ class CanopenDecoder:
                 continue  # a dummy object
             part = value.to_bytes((bits + 7) // 8, "little")
             (fact,) = self._object(number, index, subindex, part, told_to)
-            motion = fact.motion or self._node(number).place(index)[1] in SETPOINTS
-            facts.append(Fact(fact.subject, fact.value, fact.text, told_to, motion))
+            if not fact.motion and self._node(number).object(index, subindex).first in SETPOINTS:
+                fact = replace(fact, motion=True)
+            facts.append(fact)
         return facts
+
+
+def _value_text(node: _Node, known: _Object, data: bytes, value: Value) -> str:
+    if isinstance(value, int):
+        first = known.first
+        if first == _CONTROLWORD:
+            mode, before = node.modes.get(known.axis, 0), node.controlwords.get(known.axis)
+            return f"{value:04X}h {controlword_text(value, mode, before)}"
+        if first == _STATUSWORD:
+            return f"{value:04X}h {statusword_text(value, node.modes.get(known.axis, 0))}"
+        if first in _MODE:
+            return f"{value} {mode_text(value)}"
+        if first == 0x603F:
+            return f"{value:04X}h {emergency_text(value)}"
+    return value_text(known.name.kind, data, value)
 
 
 def place_text(index: int, subindex: int) -> str:

@@ -4,6 +4,7 @@ Source: CiA 402-2 (IEC 61800-7-201), PDS FSA, controlword 6040h, statusword 6041
 4 to 6, 9, 12 and 13 depend on the mode of operation.
 """
 
+from functools import lru_cache
 from typing import Final
 
 # mask, value, state
@@ -58,6 +59,7 @@ _STATUS_BITS: Final[dict[int, tuple[tuple[int, str], ...]]] = {
 }
 
 
+@lru_cache(1024)
 def controlword_text(word: int, mode: int = 0, before: int | None = None) -> str:
     """Return the command in a controlword, and its mode-specific bits, in words.
 
@@ -89,6 +91,7 @@ def state_of(word: int) -> str:
     return STATES[number][2] if number < len(STATES) else f"no state (bits {word & 0x6F:02X}h)"
 
 
+@lru_cache(1024)
 def statusword_text(word: int, mode: int = 0) -> str:
     """Return a statusword in words; voltage and remote only if they are missing.
 

@@ -9,6 +9,8 @@ import struct
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.traces.decoding.events import Value
+
 # Kinds: u and i are integers with their bits, x is unsigned and shown in hex, s is text, o is
 # bytes.
 _STANDARD: Final = """
@@ -289,7 +291,7 @@ class ObjectNames:
                 self.defaults[key] = value.strip()
 
 
-def value_of(kind: str, data: bytes) -> int | float | str | bytes:
+def value_of(kind: str, data: bytes) -> Value:
     """Return the bytes read as `kind`; the bytes themselves if they do not fit."""
     if kind == "s":
         text = data.rstrip(b"\0")
@@ -311,9 +313,8 @@ def _real(data: bytes) -> float:
     return value
 
 
-def value_text(kind: str, data: bytes) -> str:
-    """Return the bytes read as `kind`, in words."""
-    value = value_of(kind, data)
+def value_text(kind: str, data: bytes, value: Value) -> str:
+    """Return these bytes in words; `value` is what `value_of` reads in them."""
     if isinstance(value, bytes):
         return value.hex(" ").upper() if value else "nothing"
     if isinstance(value, str):

@@ -30,6 +30,7 @@ class PdoMaps:
         self._counts: dict[PdoKey, int] = {}
         self._types: dict[PdoKey, int] = {}
         self._by_identifier: dict[int, list[PdoKey]] = {}
+        self._objects: dict[PdoKey, list[Entry] | None] = {}
         self._syncs: dict[int, int] = {}  # by node, if known
 
     def learn(self, node: int, index: int, subindex: int, value: int) -> None:
@@ -40,6 +41,7 @@ class PdoMaps:
             return
         key = (node, index >= 0x1800, (index & 0x1FF) + 1)
         if index & 0x200:
+            self._objects.pop(key, None)
             if subindex == 0:
                 self._counts[key] = value
             else:
@@ -57,6 +59,7 @@ class PdoMaps:
                 del known[key]
         self._syncs.pop(node, None)
         self._by_identifier.clear()
+        self._objects.clear()
 
     def of(self, identifier: int) -> list[PdoKey]:
         """Return the PDOs with this identifier: a node's TPDO, or the RPDOs of all receivers."""
@@ -96,6 +99,11 @@ class PdoMaps:
 
     def objects(self, key: PdoKey) -> list[Entry] | None:
         """Return the mapped objects in order; None if unknown."""
+        if key not in self._objects:
+            self._objects[key] = self._listed(key)
+        return self._objects[key]
+
+    def _listed(self, key: PdoKey) -> list[Entry] | None:
         entries = self._entries.get(key)
         count = self._counts.get(key)
         if count is None and entries:

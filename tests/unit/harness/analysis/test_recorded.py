@@ -1,5 +1,7 @@
 """Periods and jitter from recordings: they cover everything that was recorded."""
 
+from cProfile import Profile
+
 from hypothesis import event, given
 from hypothesis import strategies as st
 
@@ -50,6 +52,14 @@ def test_pause_does_not_change_the_period():
     times = [10 * MS * n for n in range(30)] + [10 * MS * n for n in range(100, 130)]
     message = measured(_heard(times), 1300 * MS).message
     assert (message.period_ns, message.jitter_ns, message.irregular_ns) == (10 * MS, 0, 0)
+
+
+def test_rows_repeated_with_their_stamps_are_measured_once():
+    times = [10 * MS * n + n % 3 * US for n in range(30) for _ in range(100)]
+    profile = Profile()
+    profile.runcall(measured, _heard(times), 300 * MS)
+    calls = sum(one.callcount for one in profile.getstats())
+    assert calls < 30 * len(times)
 
 
 def test_irregular_message_is_sporadic_with_least_distance():

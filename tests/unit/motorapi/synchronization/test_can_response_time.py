@@ -11,6 +11,7 @@ from motorhil.motorapi.synchronization.bus_load import (
 from motorhil.motorapi.synchronization.can_response_time import (
     Arrival,
     BusLoad,
+    Effort,
     ErrorModel,
     Message,
     are_in_time,
@@ -158,3 +159,17 @@ def test_jitters_that_nobody_has_are_not_computed_for_ever():
         fifo=frozenset({"a"}),
     )
     assert [one.response_ns for one in response_times(load)][2:] == [None] * 2
+
+
+def test_queues_late_beyond_deadlines_end_the_analysis():
+    """Errors every 166 us leave so little of the bus that queues settle after a second only."""
+    mine = [
+        Message(0x180 + n, 6, 1_998_000, deadline_ns=20 * MS, sender=f"{n}", arrival=arrival)
+        for n, arrival in ((1, Arrival.SPORADIC), (2, Arrival.SPORADIC))
+    ]
+    beats = [Message(0x700 + n, 1, 99_900_000, sender=f"{n}") for n in (1, 2)]
+    load = BusLoad("can0", 1_000_000, (*mine, *beats), fifo=frozenset(("1", "2")))
+    effort = Effort()
+    begun = effort.left
+    assert not are_in_time(load, ErrorModel(1, 166_000), effort)
+    assert begun - effort.left < 200_000
