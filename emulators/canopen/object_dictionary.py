@@ -79,6 +79,10 @@ _INTEGERS: Final[dict[int, tuple[int, bool]]] = {
     _D.TIME_OF_DAY: (48, False),
     _D.TIME_DIFFERENCE: (48, False),
 }
+_RANGES: Final[dict[int, tuple[int, int]]] = {
+    data_type: (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+    for data_type, (bits, signed) in _INTEGERS.items()
+}
 _REALS: Final[dict[int, tuple[int, struct.Struct]]] = {
     _D.REAL32: (32, struct.Struct("<f")),
     _D.REAL64: (64, struct.Struct("<d")),
@@ -117,8 +121,7 @@ def is_signed(data_type: int) -> bool:
 
 def integer_range(data_type: int) -> tuple[int, int]:
     """Return the smallest and the largest value of a whole-number data type."""
-    bits, signed = _INTEGERS[data_type]
-    return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+    return _RANGES[data_type]
 
 
 def zero(data_type: int) -> Value:

@@ -4,7 +4,7 @@ from array import array
 from bisect import bisect_right
 from typing import Final, final
 
-ENTRIES_MAX: Final = 1 << 18  # 4 MB
+ENTRIES_MAX: Final = 1 << 16  # 1 MB, so that a rig of ten buses grows by no more than 10 MB
 
 
 @final
@@ -12,7 +12,7 @@ class BusyTime:
     """The busy time of a medium, as a list of periods.
 
     Adjacent periods are merged. A CAN bus without pauses costs nothing per frame, one with a pause
-    after every frame 16 bytes per frame, up to 4 MB. Beyond that, every other entry of the older
+    after every frame 16 bytes per frame, up to 1 MB. Beyond that, every other entry of the older
     half is dropped. The totals stay exact, and so do windows in the newer half. An older window is
     exact between entries; inside of one, the busy time counts as evenly spread.
     """

@@ -22,7 +22,7 @@ from motorhil.traces.decoding.attached_rig import rig_in as rig_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.exchange.recording import RecordedExchanges
 from motorhil.traces.mcap.reader import read_trace
-from motorhil.traces.mcap.records import MAGIC, Attachment
+from motorhil.traces.mcap.records import Attachment
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import RigDescription
@@ -32,17 +32,6 @@ _DEPTH: Final = 64
 """The number of folders above the rig's folder that file names such as ../x may reach."""
 _PATIENCE_MAX_S: Final = 3600
 _BITRATE_BIT_S: Final = 1_000_000
-
-
-def is_recording(path: Path) -> bool:
-    """Return True if the file is a recording; data in a pipe is not consumed."""
-    if not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
 
 
 def with_recorded(

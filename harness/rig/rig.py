@@ -797,10 +797,12 @@ def describe(path: Path) -> RigDescription:
     Raises:
         RigError: the rig cannot be used.
     """
-    from motorhil.harness.replay.rig import is_recording, rig_in
+    from motorhil.traces.mcap.records import is_recording
 
     known = installed_plugins()
     if is_recording(path):
+        from motorhil.harness.replay.rig import rig_in
+
         return rig_in(path, known)
     if path.suffix == ".mcap" and path.exists():
         raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")

@@ -14,8 +14,8 @@ import select
 import socket
 import struct
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorhil.motorapi.errors import LinkError, UsageError
@@ -37,8 +37,91 @@ _SEND_S: Final = 1
 _SEND_TIMEOUT: Final = struct.pack("@ll", _SEND_S, 0)  # struct timeval
 
 
+class _Line(ABC):
+    """A line whose end can be opened anew: what a TCP connection and a serial line share."""
+
+    def __init__(self, name: str, runtime: WallRuntime | None) -> None:
+        self.name: Final = name
+        self.channel_info: Final = name  # its name in messages of the runtime
+        self.is_closed: bool = False  # by either end
+        self._wall: Final = process_runtime() if runtime is None else runtime
+        self._is_over = False  # by this one
+        self._failed_s: float | None = None
+        self._end: Any = None  # Any: a socket, or an object of pyserial
+
+    @abstractmethod
+    def _opened(self, timeout_s: float) -> object:
+        """Return a new end of the line; raises LinkError."""
+
+    def reconnect(self) -> None:
+        """Open the line anew, within 1 s; at most one attempt per second.
+
+        Raises:
+            LinkError: the host does not answer, the device cannot be opened, or the application has
+                closed the line.
+        """
+        now_s = time.monotonic()
+        if self._is_over:
+            raise LinkError(link=self.name, reason="the connection is closed")
+        if self._failed_s is not None and now_s < self._failed_s + _SEND_S:
+            raise LinkError(link=self.name, reason="no connection; the last attempt has failed")
+        before = self._end
+        self._failed_s = now_s
+        self._end = self._opened(_SEND_S)
+        self._failed_s, self.is_closed = None, False
+        before.close()
+
+    @property
+    def wall(self) -> WallRuntime:
+        """The runtime in which applications wait for this line."""
+        return self._wall
+
+    def send(self, data: bytes) -> None:
+        """Send the bytes now.
+
+        Raises:
+            LinkError: the line is closed, or gone.
+        """
+        if self.is_closed:
+            raise LinkError(link=self.name, reason="the connection is closed")
+        self._wall.send(self, data)  # type: ignore[arg-type]  # a bus, as far as it is used there
+
+    def listen(self, on_data: DataListener) -> "Registration":
+        """Call `on_data` with the bytes received from now on."""
+        return _listen(self._wall, self, on_data)
+
+    def close(self) -> None:
+        """Close the line; closing again does nothing."""
+        self.is_closed = self._is_over = True
+        self._end.close()
+
+    # --- the frame source for the runtime
+    # --------------------------------------------------------------
+
+    def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
+        """Return (received bytes, 0, False), b"" at the end; None after `timeout_s` [s]."""
+        end = self._end
+        try:
+            data = self._received(end, timeout_s)
+        except (OSError, ValueError, TypeError):  # closed here, broken or unplugged
+            data = b""
+        if data is None or end is not self._end:
+            return None  # nothing, or of an end that was replaced
+        if not data:
+            self.is_closed = True
+        return data, 0, False
+
+    @abstractmethod
+    def _received(self, end: Any, timeout_s: float) -> bytes | None:
+        """Return received bytes, b"" at the end; None after `timeout_s` [s]."""
+
+    @abstractmethod
+    def transmit(self, data: bytes) -> None:
+        """Pass the bytes to the operating system."""
+
+
 @final
-class TcpLine:
+class TcpLine(_Line):
     """A connection to a Modbus/TCP server or gateway.
 
     Args:
@@ -61,18 +144,13 @@ class TcpLine:
         runtime: WallRuntime | None = None,
         timeout_s: float = 3.0,
     ) -> None:
-        self.name: Final = f"{host}:{port}"
+        super().__init__(f"{host}:{port}", runtime)
         self.framing: Final = "tcp"
         self.silence_ns: Final = 0
         self.address: Final = (host, port)
-        self.channel_info: Final = self.name  # its name in messages of the runtime
-        self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed: bool = False  # by either end
-        self._is_over = False  # by this one
-        self._failed_s: float | None = None
-        self._socket: socket.socket = self._connected(timeout_s)
+        self._end = self._opened(timeout_s)
 
-    def _connected(self, timeout_s: float) -> socket.socket:
+    def _opened(self, timeout_s: float) -> socket.socket:
         try:
             connection = socket.create_connection(self.address, timeout_s)
         except OSError as error:
@@ -83,78 +161,27 @@ class TcpLine:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_TIMEOUT)
         return connection
 
-    def reconnect(self) -> None:
-        """Open a new connection in place of this one, within 1 s; at most one attempt per second.
-
-        Raises:
-            LinkError: the host does not answer, or the application has closed the line.
-        """
-        now_s = time.monotonic()
-        if self._is_over:
-            raise LinkError(link=self.name, reason="the connection is closed")
-        if self._failed_s is not None and now_s < self._failed_s + _SEND_S:
-            raise LinkError(link=self.name, reason="no connection; the last attempt has failed")
-        before = self._socket
-        self._failed_s = now_s
-        self._socket = self._connected(_SEND_S)
-        self._failed_s, self.is_closed = None, False
-        before.close()
-
-    @property
-    def wall(self) -> WallRuntime:
-        """The runtime in which applications wait for this line."""
-        return self._wall
-
     def duration_ns(self, characters: int) -> int:
         """Return 0: TCP has no character time."""
         return 0
 
-    def send(self, data: bytes) -> None:
-        """Send the bytes now.
-
-        Raises:
-            LinkError: the connection is gone.
-        """
-        if self.is_closed:
-            raise LinkError(link=self.name, reason="the connection is closed")
-        self._wall.send(self, data)  # type: ignore[arg-type]  # a bus, as far as it is used there
-
-    def listen(self, on_data: DataListener) -> "Registration":
-        """Call `on_data` with the bytes received from now on."""
-        return _listen(self._wall, self, on_data)
-
-    def close(self) -> None:
-        """Close the connection; closing again does nothing."""
-        self.is_closed = self._is_over = True
-        self._socket.close()
-
-    # --- the frame source for the runtime
-    # --------------------------------------------------------------
-
-    def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """Return (received bytes, 0, False), b"" at the end; None after `timeout_s` [s]."""
-        data, connection = b"", self._socket
-        with suppress(OSError, ValueError):  # closed here, or broken
-            if not select.select([connection], [], [], timeout_s)[0]:
-                return None
-            data = connection.recv(_READ_MAX)
-        if connection is not self._socket:
-            return None  # of a connection that was replaced
-        if not data:
-            self.is_closed = True
-        return data, 0, False
+    def _received(self, end: Any, timeout_s: float) -> bytes | None:
+        if not select.select([end], [], [], timeout_s)[0]:
+            return None
+        data: bytes = end.recv(_READ_MAX)
+        return data
 
     def transmit(self, data: bytes) -> None:
         """Pass the bytes to the operating system."""
-        self._socket.sendall(data)
+        self._end.sendall(data)
 
 
 @final
-class SerialLine:
+class SerialLine(_Line):
     """A serial line, e.g. RS-485 with an adapter that switches direction by itself.
 
     Args:
-        path: path of the device.
+        path: path of the device; below /dev/serial/by-id it is the same after plugging in again.
         baud_bit_s, parity ("E", "O", "N"), stop_bits: as set in the drives.
         runtime: the runtime in which applications wait; None: that of the process.
 
@@ -182,39 +209,21 @@ class SerialLine:
             )
         bits = 9 + (parity != "N") + stop_bits
         slow_ns = 35 * bits * _NS // (10 * baud_bit_s)
-        self.name: Final = path
+        super().__init__(path, runtime)
         self.framing: Final = "rtu"
         self.silence_ns: Final = _T35_NS if baud_bit_s > _FAST_BIT_S else slow_ns
         self.path: Final = path
-        self.channel_info: Final = path
+        self._settings: Final = (baud_bit_s, parity, stop_bits)
         self._character_ns: Final = bits * _NS // baud_bit_s
-        self._wall: Final = process_runtime() if runtime is None else runtime
-        self.is_closed: bool = False
         self._reads = True
-        self._port: Any = _opened(path, baud_bit_s, parity, stop_bits)  # Any: a pyserial object
+        self._end = self._opened(_SEND_S)
 
-    @property
-    def wall(self) -> WallRuntime:
-        """The runtime in which applications wait for this line."""
-        return self._wall
+    def _opened(self, timeout_s: float) -> object:
+        return _serial_port(self.path, *self._settings)
 
     def duration_ns(self, characters: int) -> int:
         """Return the duration of `characters` characters on the line [ns]."""
         return characters * self._character_ns
-
-    def send(self, data: bytes) -> None:
-        """Send the characters now.
-
-        Raises:
-            LinkError: the line is closed, or gone.
-        """
-        if self.is_closed:
-            raise LinkError(link=self.name, reason="the line is closed")
-        self._wall.send(self, data)  # type: ignore[arg-type]  # a bus, as far as it is used there
-
-    def listen(self, on_data: DataListener) -> "Registration":
-        """Call `on_data` with the bytes received from now on."""
-        return _listen(self._wall, self, on_data)
 
     def set_reading(self, reads: bool) -> None:
         """Enable or disable reading; each byte reaches only one of several processes."""
@@ -222,34 +231,23 @@ class SerialLine:
 
     def close(self) -> None:
         """Close the line; closing again does nothing."""
-        self.is_closed = self._reads = True
-        self._port.close()
+        self._reads = True
+        super().close()
 
-    # --- the frame source for the runtime
-    # --------------------------------------------------------------
-
-    def receive_frame(self, timeout_s: float) -> tuple[bytes, int, bool] | None:
-        """Return (received characters, 0, False), b"" at the end; None after `timeout_s` [s]."""
-        try:
-            if not self._reads:
-                select.select([], [], [], _LOOK_S)  # until reading is enabled again
-                return None
-            if not select.select([self._port], [], [], timeout_s)[0] or not self._reads:
-                return None  # nothing, or the answer to another process
-            data = self._port.read(max(1, self._port.in_waiting))
-        except (OSError, ValueError, TypeError):  # closed here, or unplugged
-            self.is_closed = True
-            return b"", 0, False
-        return (data, 0, False) if data else None
+    def _received(self, end: Any, timeout_s: float) -> bytes | None:
+        if not self._reads:
+            select.select([], [], [], _LOOK_S)  # until reading is enabled again
+            return None
+        if not select.select([end], [], [], timeout_s)[0] or not self._reads:
+            return None  # nothing, or the answer to another process
+        return end.read(max(1, end.in_waiting)) or None
 
     def transmit(self, data: bytes) -> None:
         """Pass the characters to the operating system."""
-        self._port.write(data)
+        self._end.write(data)
 
 
-def _listen(
-    runtime: WallRuntime, line: TcpLine | SerialLine, on_data: DataListener
-) -> "Registration":
+def _listen(runtime: WallRuntime, line: _Line, on_data: DataListener) -> "Registration":
     """Report the end of a line to its listeners only, not as an error of the runtime."""
     registered: list[
         Registration
@@ -267,7 +265,7 @@ def _listen(
     return registered[0]
 
 
-def _opened(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:
+def _serial_port(path: str, baud_bit_s: int, parity: str, stop_bits: int) -> object:
     try:
         import termios
 

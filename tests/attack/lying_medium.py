@@ -3,7 +3,7 @@
 The plants know the truth. A value that a call returns is true, within the tolerance of its kind,
 at a time no longer ago than what the medium may delay; or the call raises a MotorError. Every call
 ends. A motion that is reported done has reached its target. After the trouble the motor can be used
-again.
+again. An attempt is a rig, in which several programs meet trouble, one after another.
 
 The medium alters only what the protocol can detect: the header of an SDO response and lengths on
 CAN, any bit on a serial line with its CRC, the headers on TCP. Other alterations are true lies, of
@@ -14,7 +14,7 @@ import struct
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any, Final, final
@@ -41,9 +41,13 @@ TROUBLE_BEGIN_S: Final = 0.4
 """The latest begin of a rule [s]: the calls of a program take 0.2 to 1 s without trouble."""
 TROUBLE_S: Final = (0.2, 1.5)
 """The shortest and the longest time that a rule lasts [s]."""
+SAMPLE_NS: Final = 10 * MS
+"""The period of the truth: an extreme between two samples differs by 4 rad/s^2 (10 ms)^2 / 8."""
 CALL_MAX_S: Final = 12.0
 """The longest time of any call [s]: its own timeouts, and those of what it asks first."""
 CALLS: Final = 10
+RUNS: Final = 5
+"""Programs in one rig: a start costs as much as a program on CiA 402."""
 _REPLY_S: Final = 0.1  # the time of an exchange without trouble
 _TRIES: Final = 3  # a call may find out only now what the trouble has done
 _ROUNDING_RAD: Final = 0.001
@@ -89,7 +93,7 @@ class Truth:
         self._rig = rig
         self.age_ns = 2 * DELAY_MAX_NS + round((kind.heard_s + _REPLY_S) * 1e9)
         self._seen: deque[tuple[int, float, float]] = deque()
-        rig.world.tap_samples(2 * MS, self._sample)
+        rig.world.tap_samples(SAMPLE_NS, self._sample)
 
     def _sample(self, now_ns: int, controller: str, truth: Mapping[str, float]) -> None:
         if controller == self._controller:
@@ -130,12 +134,21 @@ class Truth:
 
 @final
 class Trouble:
-    """The rules of one run, and a foreign node on CAN that sends malformed frames."""
+    """The rules of one run, and a foreign node on CAN that sends malformed frames.
 
-    def __init__(self, rig: Rig, dice: Random) -> None:
+    Args:
+        rig: the rig.
+        dice: decides everything.
+        name: of the run, for its rules.
+        lie: sends a frame of the foreign node; None on a line.
+    """
+
+    def __init__(
+        self, rig: Rig, dice: Random, name: str, lie: Callable[[bytes], object] | None
+    ) -> None:
         self._rig = rig
         self._dice = dice
-        self._rules: list[tuple[str, str]] = []
+        self._rules: list[str] = []
         self.ends_ns = 0
         (self._bus,) = rig.description.buses
         is_line = rig.description.buses[self._bus].is_line
@@ -144,19 +157,26 @@ class Trouble:
             begin_ns = rig.runtime.now_ns() + round(dice.uniform(0.0, TROUBLE_BEGIN_S) * 1e9)
             until_ns = begin_ns + round(dice.uniform(*TROUBLE_S) * 1e9)
             self.ends_ns = max(self.ends_ns, until_ns)
-            name = f"trouble {number}"
+            rule_name = f"{name} {number}"
             common: dict[str, Any] = {
                 "sender": dice.choice([*rig.description.controllers, None]),
                 "from_ns": begin_ns,
                 "until_ns": until_ns,
                 "probability": dice.choice((0.02, 0.1, 0.3, 0.8)),
             }
-            rule = self._serial(name, common, is_tcp) if is_line else self._can(name, common)
-            rig.faults.inject(self._bus, rule)
-        if not is_line:
-            port = rig.world.add_host(self._bus, "liar", lambda *_: None)
+            self._rules.append(rule_name)
+            make = partial(self._serial, is_tcp=is_tcp) if is_line else self._can
+            rig.faults.inject(self._bus, make(rule_name, common))
+        if lie is not None:
             period_s = dice.choice((0.003, 0.02, 0.1))
-            self._liar = rig.runtime.every(period_s, lambda: self._lie(port.send))
+            self._liar = rig.runtime.every(period_s, lambda: self._lie(lie))
+
+    def end(self) -> None:
+        """Let time pass until the last rule has ended, and remove the rules."""
+        left_ns = self.ends_ns - self._rig.runtime.now_ns()
+        self._rig.runtime.run_for(max(0.0, left_ns / 1e9))
+        for name in self._rules:
+            self._rig.faults.lift(self._bus, name)
 
     def _can(self, name: str, common: dict[str, Any]) -> FaultRule:
         dice = self._dice
@@ -276,8 +296,8 @@ class Program:
         begun = self._truth.position()
         self.motor.wait_until_done(5)
         now = self._truth.position()
-        low = (least if distance > 0.0 else min(before, begun)) + distance
-        high = (most if distance < 0.0 else max(before, begun)) + distance
+        low = min(before, least if distance > 0.0 else begun) + distance
+        high = max(before, most if distance < 0.0 else begun) + distance
         if not low - 2 * self._tolerance <= now <= high + 2 * self._tolerance:
             raise SilentlyWrong(f"done at {now:.5f} rad; expected {low:.5f} to {high:.5f} rad")
 
@@ -312,18 +332,20 @@ class Program:
 
 
 def attack(name: str, seed: str) -> Done:
-    """Run a program under trouble on this kind of hardware."""
+    """Run programs under trouble on this kind of hardware, in one rig."""
     kind, dice = kinds()[name], Random(seed)
     with Rig(_description(name), seed=dice.getrandbits(32)) as rig:
         program = Program(rig, kind, dice)
         program.motor.enable()
-        trouble = Trouble(rig, dice)
-        program.run()
-        left_ns = trouble.ends_ns - rig.runtime.now_ns()
-        rig.runtime.run_for(max(0.0, left_ns / 1e9))
-        program.require_usable()
-        program.reached[name] += 1
-        return Done(1, f"{name} {rig.runtime.now_ns()}".encode(), program.reached)
+        (bus,) = rig.description.buses.values()
+        liar = None if bus.is_line else rig.world.add_host(bus.name, "liar", lambda *_: None).send
+        for run in range(RUNS):
+            trouble = Trouble(rig, dice, f"run {run}, trouble", liar)
+            program.run()
+            trouble.end()
+            program.require_usable()
+            program.reached[name] += 1
+        return Done(RUNS, f"{name} {rig.runtime.now_ns()}".encode(), program.reached)
 
 
 def begin(seed: int) -> Attempt:

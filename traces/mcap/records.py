@@ -13,6 +13,7 @@ import zlib
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, final
 
 import zstandard
@@ -54,6 +55,17 @@ UINT16: Final = struct.Struct("<H")
 UINT32: Final = struct.Struct("<I")
 UINT64: Final = struct.Struct("<Q")
 _PIECE: Final = 4096  # bytes of a cut chunk to decompress at once
+
+
+def is_recording(path: Path) -> bool:
+    """Return True if the file is a recording; data in a pipe is not consumed."""
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
 
 
 def record(opcode: int, content: bytes) -> bytes:

@@ -10,7 +10,7 @@ from motorhil.emulators.media.load import BusyTime
 class CanStatistics:
     """The counts and load of one bus. Only the bus writes it; a frame counts when it is complete.
 
-    Takes up to 4 MB (`BusyTime`) and an entry per different identifier.
+    Takes up to 1 MB (`BusyTime`) and an entry per different identifier.
 
     Attributes (read only): frames and bits (incl. stuff bits and intermission) of frames sent;
     busy, the time occupied by these, by failed frames and by intermissions; errors, the number of

@@ -5,6 +5,9 @@ provides time, silence and deadlines. No request is sent twice: a request whose 
 have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request.
 The request is sent as soon as the line is silent, before all others.
 
+A line that has ended or fails to send is opened anew before the next request; no request is sent
+again on it. On a serial line that is the device, unplugged and plugged in again.
+
 On a serial line, all bytes received since a request must be its answer, complete and with its check
 sum. A late answer looks like the answer to the next request. So after a request without an answer
 in time the line is in *quarantine*. The next request waits until the late answer has arrived
@@ -12,9 +15,8 @@ completely (it is dropped), or a time limit has passed. Posted requests do not w
 do not end it: the late answer may still follow the answer to the posted request.
 
 On TCP the transaction identifier distinguishes answers, and the bytes are a stream of ADUs, each
-read from its header. So half of a late answer does no harm. A connection that has ended, fails to
-send, ends within an ADU or is silent for 2 s, more than most gateways wait for a unit, is made anew
-before the next request. No request is sent again on it.
+read from its header. So half of a late answer does no harm. A connection that ends within an ADU or
+is silent for 2 s, more than most gateways wait for a unit, has ended as well.
 
 A line may never be silent, or another process may hold it. The wait for such a line is limited: a
 caller gets an error, and a posted request is sent anyway.
@@ -23,6 +25,7 @@ Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3 (MB
 fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3, 6.6 and 6.12.
 """
 
+import logging
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -50,6 +53,10 @@ from motorhil.motorapi.runtime.api import Registration, Runtime
 if TYPE_CHECKING:
     from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
     from motorhil.motorapi.ownership.fencing import Owned
+
+# pymodbus warns of frames that it cannot decode. Our error has their bytes; without a handler
+# of the application, Python would print the warning.
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 _HEAD: Final = 7  # of MBAP, with the unit
 _SILENT_NS: Final = 2_000_000_000  # since an unanswered request: the TCP connection is broken
@@ -247,8 +254,8 @@ def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -
 class ByteLine(Protocol):
     """A serial line or a TCP connection, as bytes.
 
-    A TCP connection may have a method `reconnect`, which replaces it by a new one within a second.
-    It raises LinkError if there is no new one, or if the application has closed the connection.
+    A line may have a method `reconnect`, which opens it anew within a second. It raises LinkError
+    if that fails, or if the application has closed the line.
     """
 
     @property
@@ -403,7 +410,7 @@ class ModbusLine:
         try:
             self._send(exchange, adu)
         except MotorError as error:
-            self._is_broken = self._is_tcp and isinstance(error, LinkError)
+            self._is_broken = isinstance(error, LinkError)
             self._end(exchange, None, error)
             return
         except Exception as error:  # any other failure of the line also ends the exchange

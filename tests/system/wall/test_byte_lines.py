@@ -89,6 +89,42 @@ def serve(master):
         return
 
 
+def unplug(master):
+    """Answer one request, and end at the next one."""
+    os.write(master, with_crc(os.read(master, 300)[:2] + b"\x02\x00\x07"))
+    os.read(master, 300)
+    os.close(master)
+
+
+def test_replugged_serial_device_is_opened_anew(tmp_path):
+    def plugged_in(life):
+        master, slave = pty.openpty()
+        tty.setraw(slave)
+        threading.Thread(target=life, args=(master,), daemon=True).start()
+        (tmp_path / "new").symlink_to(os.ttyname(slave))
+        (tmp_path / "new").rename(tmp_path / "port")
+        return slave
+
+    runtime = WallRuntime()
+    slaves = [plugged_in(unplug)]
+    device = SerialLine(str(tmp_path / "port"), baud_bit_s=115_200, parity="N", runtime=runtime)
+    line = ModbusLine(device, runtime, None)
+    client = UnitClient(line, 5, LONG_S / 2)
+    assert client.read_holding_registers(5).registers == [7]
+    slaves.append(plugged_in(serve))
+    with pytest.raises(LinkError, match="has ended"):
+        client.read_holding_registers(5)
+    assert client.read_holding_registers(5).registers == [5]
+    assert line.reconnections == 1
+    line.close()
+    device.close()
+    with pytest.raises(LinkError, match="is closed"):
+        device.reconnect()
+    runtime.close()
+    for slave in slaves:
+        os.close(slave)
+
+
 def test_two_openers_of_a_device_read_only_their_answers(tmp_path):
     master, slave = pty.openpty()
     tty.setraw(slave)

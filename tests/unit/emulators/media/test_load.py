@@ -49,6 +49,14 @@ def test_new_medium_was_never_busy():
     assert busy.busy_ns() == 0
 
 
+def test_long_run_takes_one_megabyte():
+    busy = BusyTime()
+    for start_ns in range(0, 3_000_000, 10):  # more frames than were ever kept
+        busy.add(start_ns, start_ns + 5)
+    assert 16 * len(busy._ends_ns) <= 1 << 20
+    assert busy.busy_ns() == 1_500_000
+
+
 def test_adjacent_periods_take_no_memory():
     busy = BusyTime()
     for start_ns in range(0, 1000, 10):

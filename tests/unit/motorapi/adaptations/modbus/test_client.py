@@ -1,5 +1,7 @@
 """A Modbus line whose peer violates the protocol."""
 
+import logging
+
 import pytest
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
@@ -298,6 +300,37 @@ def test_broken_tcp_connection_is_replaced(runtime, trouble, errors):
     assert [read(line), read(line)] == [[7], [7]]
     assert (connection.connections, line.reconnections) == (2, 1)
     assert len(connection.sent) == len(errors) + 2  # no request twice
+
+
+@pytest.mark.parametrize("trouble", [cut, unplug], ids=["ended", "cannot send"])
+def test_unplugged_serial_line_is_opened_anew(runtime, trouble):
+    def answer(line, number):
+        if line.connections == 1:
+            trouble(line)
+        else:
+            line.hear(rtu(7))
+
+    connection = Connection(runtime, "rtu", answer)
+    line = ModbusLine(connection, runtime, None)
+    with pytest.raises(LinkError):
+        read(line)
+    assert [read(line), read(line)] == [[7], [7]]
+    assert line.reconnections == 1
+    assert len(connection.sent) == 3  # no request twice
+
+
+def test_malformed_answer_is_logged_but_not_printed(runtime, monkeypatch, capsys, caplog):
+    answer = tcp(1, b"\x03\x04\x00")  # four bytes announced, one sent
+    with monkeypatch.context() as patch:
+        patch.setattr(logging.root, "handlers", [])  # a program that has not configured logging
+        _, line = on(runtime, lambda line, number: line.hear(answer), framing="tcp")
+        with pytest.raises(ModbusProtocolViolation, match="03 04 00"):
+            read(line)
+        assert capsys.readouterr().err == ""
+    _, line = on(runtime, lambda line, number: line.hear(tcp(1, b"\x03\x08\x00")), framing="tcp")
+    with pytest.raises(ModbusProtocolViolation):
+        read(line)
+    assert "decode" in caplog.text
 
 
 def test_late_answer_shows_that_a_connection_is_not_broken(runtime):
