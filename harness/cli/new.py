@@ -1,4 +1,4 @@
-"""The verb `new`: creates a rig, its script, and CI jobs."""
+"""The verb `new`: creates a rig, its script and CI jobs, or a package for a new kind of drive."""
 
 import argparse
 import json
@@ -8,7 +8,13 @@ from pathlib import Path
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.rig.config.ros2_canopen import rig_of_bus
-from motorhil.harness.rig.config.scaffold import CI_FILES, requirement, write_new_rig, write_rig
+from motorhil.harness.rig.config.scaffold import (
+    CI_FILES,
+    requirement,
+    write_new_drive,
+    write_new_rig,
+    write_rig,
+)
 from motorhil.harness.rig.config.toml import RigError
 
 
@@ -31,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"also write a CI job into the current folder: {' or '.join(CI_FILES.values())}; "
         "an existing rig in DIR is kept",
     )
+    kinds.add_argument(
+        "--drive",
+        metavar="NAME",
+        help="write a package for a kind of drive that motorhil does not know, into DIR or "
+        "motorhil-NAME: an adaptation and an emulated drive, which work at once",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -48,6 +60,8 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.source is not None:
         return _from_bus(options.source, options.folder or Path(), as_json=options.json)
+    if options.drive is not None:
+        return _drive(options.folder, options.drive, as_json=options.json)
     if options.folder is None:
         raise RigError(Path(), "no folder is named", "name a new one: motorhil new DIR")
     has_requirements = Path("requirements.txt").exists()
@@ -65,6 +79,15 @@ def run(options: argparse.Namespace) -> int:
         print(f"requirements.txt: was there; it must install {line} and pytest", file=sys.stderr)
     if options.ci is not None and wheel:
         print(f"before you push, commit what this makes: {wheel}", file=sys.stderr)
+    return PASSED
+
+
+def _drive(folder: Path | None, name: str, *, as_json: bool) -> int:
+    folder = Path(f"motorhil-{name}") if folder is None else folder
+    files = [str(path) for path in write_new_drive(folder, name)]
+    command = ["pip", "install", "-e", str(folder)]
+    print(json.dumps({"files": files, "next": command}) if as_json else "\n".join(files))
+    print(f"next: {shlex.join(command)}, then read {folder / 'README.md'}", file=sys.stderr)
     return PASSED
 
 

@@ -36,7 +36,7 @@ from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory
+from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
 from motorhil.settings import REQUIRED, number, text, whole
 
 __all__ = [
@@ -75,6 +75,7 @@ __all__ = [
     "SyncLevel",
     "SyncOffer",
     "Trajectory",
+    "TrapezoidalTrajectory",
     "Trigger",
     "UnsupportedError",
     "UsageError",

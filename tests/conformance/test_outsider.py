@@ -108,3 +108,16 @@ def test_outsider_conforms(venv, tmp_path):
     printed = run(venv / "motorhil", "conform", "--adaptation", "odrive", cwd=tmp_path)
     clauses, passed = map(int, re.search(r"^(\d+) clauses: (\d+) passed", printed, re.M).groups())
     assert passed >= 0.8 * clauses, printed
+
+
+def test_new_drive_passes_its_tests_and_the_kit_at_once(venv, tmp_path):
+    """`motorhil new --drive` and its package need nothing but the wheel."""
+    printed = run(venv / "motorhil", "new", "--drive", "acme_2", cwd=tmp_path).splitlines()
+    package = tmp_path / "motorhil-acme_2"
+    assert "motorhil-acme_2/src/motorhil_acme_2/host.py" in printed
+    assert not any("ydrive" in one.read_text() for one in package.rglob("*") if one.is_file())
+    pip = (sys.executable, "-m", "pip", "--python", venv / "python", "install", *OFFLINE)
+    run(*pip, "--no-build-isolation", package)
+    assert " passed" in run(venv / "python", "-m", "pytest", "-p", "no:cacheprovider", cwd=package)
+    told = run(venv / "motorhil", "conform", "--adaptation", "acme_2", cwd=tmp_path)
+    assert re.search(r"^\d+ clauses: 8\d passed, 2\d not applicable", told, re.M), told

@@ -30,6 +30,9 @@ _WHEELS: Final = "vendor"
 _PROGRAM_STEP: Final = re.compile(  # of either job
     r"      - name: A program in real time.*\n.*\n\n|    - bash [.]ci/vcan-or-hub.*\n"
 )
+_DRIVE: Final = EXAMPLES / "new_drive"
+_DRIVE_MODULE: Final = "motorhil.harness.examples.new_drive"
+_DRIVE_NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,31}", re.ASCII)
 CI_FILES: Final = {"github": ".github/workflows/motors.yml", "gitlab": ".gitlab-ci.yml"}
 
 
@@ -70,6 +73,43 @@ def write_new_rig(folder: Path, ci: str | None = None) -> list[Path]:
     _refuse_existing(job, f"take what you need from {_CI}")
     _write(folder, rig | job)
     return [*rig, *job]
+
+
+def write_new_drive(folder: Path, name: str) -> list[Path]:
+    """Write a package for a kind of drive: adaptation, emulated drive, rig, model, test, README.
+
+    Args:
+        folder: the folder of the package; created if missing.
+        name: the name of the kind in rigs; that of its package is motorhil_NAME.
+
+    Returns:
+        The files written.
+
+    Raises:
+        RigError: the name is not one, a file exists already, or cannot be written.
+    """
+    if _DRIVE_NAME.fullmatch(name) is None:
+        what = f"{name!r} is not the name of a drive"
+        raise RigError(folder, what, "use up to 32 of a-z, 0-9 and _, a letter first")
+    package = Path("src", f"motorhil_{name}")
+    places = {
+        "pyproject.txt": Path("pyproject.toml"),
+        "readme.txt": Path("README.md"),
+        "test_drive.txt": Path("tests", f"test_{name}.py"),
+        **{
+            one: package / one
+            for one in ("__init__.py", "host.py", "emulated.py", "rig.toml", "model.toml")
+        },
+    }
+    texts = {folder / package / "py.typed": ""}
+    for source, place in places.items():
+        text = (_DRIVE / source).read_text("utf-8")
+        text = re.sub(rf'"{re.escape(_DRIVE_MODULE)}[.](?:host|emulated):build"', f'"{name}"', text)
+        camel = name.title().replace("_", "")
+        texts[folder / place] = text.replace("mydrive", name).replace("Mydrive", camel)
+    _refuse_existing(texts, f"name another folder: motorhil new DIR --drive {name}")
+    _write(folder, texts)
+    return sorted(texts)
 
 
 def write_rig(folder: Path, text: str) -> list[Path]:

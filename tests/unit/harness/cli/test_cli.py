@@ -337,6 +337,13 @@ def plugin(rig, monkeypatch):
 LEFT_KIND = 'rig.toml:6: controller.left.kind: plugin "broken" '
 
 
+@pytest.mark.parametrize("name", ["", "2wheels", "Acme", "acme-2", "a" * 33, "../acme"])
+def test_new_drive_of_impossible_name_is_refused(bench, say, name):
+    told = f"{name!r} is not the name of a drive; use up to 32 of a-z, 0-9 and _, a letter first"
+    assert say("new", "package", "--drive", name) == (2, "", f"package: {told}\n")
+    assert not (bench / "package").exists()
+
+
 def test_plugin_that_exits_when_imported_is_reported(plugin, say):
     plugin("leaving_plugin", "import sys\nsys.exit(0)\n")
     assert say("check", "rig.toml") == (

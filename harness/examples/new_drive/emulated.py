@@ -1,0 +1,234 @@
+"""The emulated drive. Write it from the drive's manual, never from `host`.
+
+Replace it in the order of the numbers. The motor on the shaft, with servo, plant and encoder, is
+motorhil's (`axis_of`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from struct import Struct
+from typing import Final, final
+
+from motorhil.emulators.api import (
+    NEVER_NS,
+    RANGES,
+    REQUIRED,
+    Controller,
+    ControllerContext,
+    MotorTable,
+    axis_of,
+    can_id_of,
+    controller,
+    data_of,
+    flags,
+    number,
+    on_own_time,
+    pack,
+    read,
+    whole,
+)
+
+# 1. The protocol, read a second time.
+_TOLD: Final = Struct("<BBBBH")
+_WHERE: Final = Struct("<2i")
+_ORDER: Final = Struct("<BBHi")
+_WORD: Final = Struct("<I")
+_TWO_WORDS: Final = Struct("<2I")
+_UNITS: Final = 1 << 16  # per turn of the motor
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DriveTable(MotorTable):
+    """The drive's table in a rig."""
+
+    # 2. Settings of the drive: what its maker's tool can set.
+    node_id: int = whole(REQUIRED, 0, 0x3F, "", "Its node-ID.", example="1")
+    boot_up_s: float = number(0.1, 0, 3600, "s", "From power-on to the first status.")
+    period_s: float = number(0.01, 1e-4, 3600, "s", "Period of status and estimate.")
+    watchdog_s: float = number(0.1, 0, 3600, "s", "It stops without its host; 0: never.")
+
+
+@final
+class MydriveController:
+    """Implements `motorhil.emulators.api.Controller`; times are int ns."""
+
+    def __init__(self, settings: DriveTable, stream: str) -> None:
+        motor = settings.motor(stream)
+        self._settings = settings
+        self._axis = axis_of(motor, motor.oscillator.rate())
+        self._inc = motor.plant.encoder_increments_rev
+        self._is_on = self._is_powered = False
+        self._count = self._fault = 0
+        self._velocity = self._faster = self._slower = 1.0  # [turns/s, turns/s²]
+        self._next_ns = self._watchdog_ns = NEVER_NS
+        self._out: list[bytes] = []
+        self._events: list[tuple[str, str]] = []
+
+    # 3. Time: what the drive does by itself, and when.
+
+    def start(self, now_ns: int) -> None:
+        """Switch the power on."""
+        self._is_powered = True
+        self._axis.at(now_ns)
+        self._axis.set_position(self._axis.count())
+        self._next_ns = now_ns + round(self._settings.boot_up_s * 1e9)
+
+    def next_deadline_ns(self) -> int | None:
+        """Return the latest time of the next call of `expire` [ns]."""
+        due_ns = min(self._next_ns, self._watchdog_ns)
+        return None if due_ns == NEVER_NS else due_ns
+
+    def expire(self, now_ns: int) -> None:
+        """Send status and estimate; stop without a host."""
+        if now_ns >= self._watchdog_ns:
+            self._watchdog_ns = NEVER_NS
+            self._axis.at(now_ns)
+            self._fault = 3
+            self._axis.ramp_to_rest(self._slower * self._inc)
+        if now_ns < self._next_ns:
+            return
+        self._next_ns += round(self._settings.period_s * 1e9)
+        self._axis.at(now_ns)
+        axis = self._axis
+        is_moving = self._is_on and (
+            bool(axis.flags & flags.PROFILE_ACTIVE) or not axis.flags & flags.IN_TARGET_WINDOW
+        )
+        state = 2 if self._fault else int(self._is_on)
+        scale = _UNITS / self._inc
+        where = round(axis.position_inc() * scale), round(axis.velocity_inc_s() * scale)
+        self._send(0x180, _TOLD.pack(state, self._count, is_moving, 0, self._fault))
+        self._send(0x280, _WHERE.pack(*where))
+
+    # 4. Frames to the drive.
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Handle a frame from the bus."""
+        if not self._is_powered:
+            return
+        self._axis.at(now_ns)
+        if self._watchdog_ns != NEVER_NS:
+            self._watchdog_ns = self._patience_ns(now_ns)
+        kind, payload = can_id_of(data) - self._settings.node_id, data_of(data)
+        if kind == 0x200 and len(payload) == _ORDER.size:
+            code, self._count, _, target = _ORDER.unpack(payload)
+            self._obey(code, target, now_ns)
+        elif kind == 0x300 and len(payload) == _WORD.size:
+            self._velocity = max(1, _WORD.unpack(payload)[0]) / _UNITS
+        elif kind == 0x380 and len(payload) == _TWO_WORDS.size:
+            faster, slower = _TWO_WORDS.unpack(payload)
+            self._faster, self._slower = max(1, faster) / _UNITS, max(1, slower) / _UNITS
+        elif kind != 0x400:
+            self._events.append(("warning", f"frame {data.hex()} is not understood"))
+
+    def _obey(self, code: int, target: int, now_ns: int) -> None:
+        if code == 0:
+            self._switch(on=False)
+        elif code == 4:
+            self._fault = 0
+            self._switch(on=False)
+        elif self._fault:
+            self._events.append(("warning", f"command {code} refused: fault {self._fault}"))
+        elif code == 1:
+            self._switch(on=True)
+            self._watchdog_ns = self._patience_ns(now_ns)
+        elif code == 2 and self._is_on:
+            self._axis.move_to(
+                round(target * self._inc / _UNITS),
+                self._velocity * self._inc,
+                self._faster * self._inc,
+                self._slower * self._inc,
+            )
+        elif code == 3 and self._is_on:
+            self._axis.ramp_to_rest(self._slower * self._inc)
+
+    def _switch(self, *, on: bool) -> None:
+        if on != self._is_on:
+            self._is_on = on
+            self._watchdog_ns = NEVER_NS
+            self._axis.power(on)
+
+    def _patience_ns(self, now_ns: int) -> int:
+        """Return when the drive stops if it hears nothing more."""
+        patience_s = self._settings.watchdog_s
+        return now_ns + round(patience_s * 1e9) if patience_s else NEVER_NS
+
+    def _send(self, kind: int, data: bytes) -> None:
+        self._out.append(pack(kind + self._settings.node_id, data))
+
+    # 5. Physical inputs, for tests and faults of rigs.
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Set the load at the output [N·m], or cause a fault with this code.
+
+        Raises:
+            ValueError: there is no such stimulus, or the value is out of range.
+        """
+        self._axis.at(now_ns)
+        if name == "load_torque_n_m":
+            low, high = RANGES[name]
+            if not low <= value <= high:
+                raise ValueError(f"load_torque_n_m = {value}: out of range; {low:g} to {high:g}")
+            self._axis.set_load(value)
+        elif name == "fault":
+            if value not in range(1, 1 << 16):
+                raise ValueError(f"fault = {value}: out of range; 1 to 65535")
+            self._fault = int(value)
+            self._switch(on=False)
+        else:
+            raise ValueError(f"there is no stimulus {name!r}; known: load_torque_n_m, fault")
+
+    # 6. The rest of the interface.
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """Handle a transmitted frame of this drive; nothing follows from it."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Return False: calls of `sent` are not needed."""
+        return False
+
+    def take_output(self) -> Sequence[bytes]:
+        """Return the frames to queue now."""
+        out, self._out = self._out, []
+        return out
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """Return (level, text) of the events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """Return the true values at `now_ns`."""
+        axis = self._axis
+        axis.at(now_ns)
+        return {
+            "position_rad": axis.output_position_rad(),
+            "velocity_rad_s": axis.output_velocity_rad_s(),
+            "position_inc": float(axis.position_inc()),
+            "demand_inc": float(axis.demand_inc()),
+            "current_a": axis.current_a(),
+            "torque_n_m": axis.torque_n_m(),
+            "fault": float(self._fault),
+            **axis.truth_of_extras(),
+        }
+
+    def identifiers(self) -> Sequence[int] | None:
+        """Return the identifiers to which the drive listens."""
+        return [kind + self._settings.node_id for kind in (0x200, 0x300, 0x380, 0x400)]
+
+    def identifiers_revision(self) -> int:
+        """Return a number that grows when the identifiers change."""
+        return 0
+
+
+@controller(api=1)
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive from its table in a rig.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    table = read(DriveTable, settings)
+    stream = context.stream()
+    return on_own_time(MydriveController(table, stream), table.motor(stream).oscillator)
