@@ -19,6 +19,7 @@ import weakref
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from random import Random
@@ -325,15 +326,15 @@ def _be_child(words: tuple[str, ...], folder: Path, heard: Path) -> None:
         os._exit(status)
 
 
-def begin(seed: int) -> Attempt:
-    """Return the attempts: one damaged file each, through all its verbs."""
+def begin(seed: int, verb: str | None = None) -> Attempt:
+    """Return the attempts: one damaged file each, through all its verbs, or this one only."""
     folder = Folder()
     names = list(folder.originals)
     for words in (("judge",), ("report", "-o", str(folder.path / "p.html")), ("show",)):
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             main([*words, str(GOLDEN / "cia402.mcap")])  # imports, which children then have
-    for verb in ("analyse", "check", "convert", "diff", "list", "recover", "replay", "run"):
-        import_module(f"motorhil.harness.cli.{verb}")
+    for module in ("analyse", "check", "convert", "diff", "list", "recover", "replay", "run"):
+        import_module(f"motorhil.harness.cli.{module}")
     gc.collect()
     gc.freeze()  # children would copy every page that their collector visits
 
@@ -344,6 +345,8 @@ def begin(seed: int) -> Attempt:
         reached = Counter({name: 1})
         wrong = []
         for words in original.uses:
+            if verb not in (None, words[0]):
+                continue
             where = folder.lay_out(original, data)
             filled = tuple(word.format(original.file) for word in words)
             try:
@@ -358,3 +361,8 @@ def begin(seed: int) -> Attempt:
 
 
 FILES: Final = Attack("files", "files", begin)
+
+
+def files_through(verb: str) -> Attack:
+    """Return the attack with this verb only; an attempt has the same file as without."""
+    return Attack("files", "files", partial(begin, verb=verb), f"--verb {verb} ")
