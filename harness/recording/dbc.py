@@ -1,6 +1,7 @@
 """Signals in CAN messages, by a DBC file, which cantools reads (extra `dbc`)."""
 
 import os
+import re
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.traces.can_frame import EFF, EFF_MASK, ERR, RTR, fields
@@ -11,7 +12,10 @@ from motorhil.traces.files import unreadable
 if TYPE_CHECKING:
     from cantools.database.can import Message
 
-_TEXT_MAX: Final = 200
+_TEXT_MAX: Final = 80
+_SYNTAX: Final = re.compile(r"line \d+, column \d+")
+_MARK: Final = ">>!<<"
+"""How cantools marks the place of an error in its line."""
 
 
 @final
@@ -34,9 +38,9 @@ class Dbc:
         except OSError as error:
             raise unreadable(name, error) from error
         except (cantools.Error, ValueError, LookupError, RecursionError) as error:
-            told = " ".join(str(error).split())[:_TEXT_MAX]
             remedy = "correct the file, or leave it out"
-            raise TraceError(name, f"is not a usable DBC: {told}", remedy=remedy) from error
+            what = f"is not a usable DBC: {_told(error)}"
+            raise TraceError(name, what, remedy=remedy) from error
         assert isinstance(database, cantools.database.can.Database)  # the format of a DBC
         self._messages: dict[int, Message] = {
             one.frame_id | (EFF if one.is_extended_frame else 0): one for one in database.messages
@@ -55,13 +59,22 @@ class Dbc:
         try:
             values = message.decode(told.data, allow_truncated=True)
         except (cantools.Error, ValueError, LookupError) as error:
-            return BusMessage(message.name, problem=" ".join(str(error).split())[:_TEXT_MAX])
+            return BusMessage(message.name, problem=_told(error))
         units = {signal.name: signal.unit or "" for signal in message.signals}
         signals = tuple(
             Signal(name, _plain(value), units.get(name, ""))
             for name, value in (values.items() if isinstance(values, dict) else ())
         )
         return BusMessage(message.name, signals)
+
+
+def _told(error: Exception) -> str:
+    """Return the message of cantools in short: of a wrong line, only where it is wrong."""
+    text = " ".join(str(error).split())
+    place, (_, mark, found) = _SYNTAX.search(text), text.partition(_MARK)
+    if place is not None and mark:
+        text = f"invalid syntax at {place[0]}: {found.rstrip(chr(34))}"
+    return text if len(text) <= _TEXT_MAX else f"{text[:_TEXT_MAX]}..."
 
 
 def _plain(value: object) -> int | float | str:

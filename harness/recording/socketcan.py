@@ -175,9 +175,8 @@ def open_interface(place: Place) -> socket.socket:
             remedy = "run as a user who may open raw CAN sockets"
         else:
             remedy = "load it with 'modprobe vcan' (or the driver of your adapter)"
-        raise PlaceError(
-            f"--on {place.text}: the kernel refuses a CAN socket ({_reason(error)}); {remedy}"
-        ) from None
+        reason = f"the kernel refuses a CAN socket ({_reason(error)})"
+        raise _refusal(place, reason, remedy) from None
     try:
         raw.bind((interface,))
         pending = raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
@@ -185,9 +184,7 @@ def open_interface(place: Place) -> socket.socket:
             raise OSError(pending, os.strerror(pending))
     except OSError as error:
         raw.close()
-        raise PlaceError(
-            f"--on {place.text}: {_reason(error)}; {_remedy(error, interface)}"
-        ) from None
+        raise _refusal(place, _reason(error), _remedy(error, interface)) from None
     return raw
 
 
@@ -234,6 +231,14 @@ class SocketCanTap:
     def close(self) -> None:
         """Close the socket; the interface itself is unaffected."""
         self._socket.close()
+
+
+def _refusal(place: Place, reason: str, remedy: str) -> PlaceError:
+    name = place.channel
+    return PlaceError(
+        f"--on {place.text}: SocketCAN interface {name}: {reason}; {remedy}; or, for the socket of "
+        f"a hub, write a path with a slash: ./{name}"
+    )
 
 
 def _reason(error: OSError) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import RigDescription
 
 _FILES: Final = ("eds", "nonvolatile_memory")  # of a controller
+_PLACE: Final = ("recorded_bus", "recorded_unit")
 _DEPTH: Final = 64
 """The number of folders above the rig's folder that file names such as ../x may reach."""
 _PATIENCE_MAX_S: Final = 3600
@@ -61,6 +62,8 @@ def with_recorded(
             chip = bus.nodes.get(name, PLAIN)
             if bus.data_bitrate_bit_s is not None and chip.frames is FrameSupport.FD:
                 settings["data_bitrate_bit_s"] = bus.data_bitrate_bit_s
+        if controller.kind == KIND:  # as in the recording, also under other names
+            settings |= {key: own for key, own in controller.settings.items() if key in _PLACE}
         settings |= (places or {}).get(name, {})
         controllers[name] = replace(controller, kind=KIND, settings=settings, plants_from_model=())
     return replace(description, controllers=controllers, faults=(), stimuli=())

@@ -1,6 +1,6 @@
 """Attacks on the project, as programs: `make fuzz`, `make nightly`.
 
-python -m tests.attack [ATTACK ...] [--seed N] [--seconds S | --count N] [--first N]
+python -m tests.attack [ATTACK ...] [--seed N] [--seconds S | --count N] [--first N] [--verb VERB]
 
 Without a name, all attacks run, each for `--seconds`. Exit status: 0 nothing was found, 1 something
 was, 2 wrong usage, 130 interrupted.
@@ -42,13 +42,17 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=30.0, metavar="S", help="default 30")
     parser.add_argument("--count", type=int, metavar="N", help="this many units, whatever the time")
     parser.add_argument("--first", type=int, default=0, metavar="N", help="begin at this attempt")
+    parser.add_argument("--verb", metavar="VERB", help="only this verb of the command line (files)")
     options = parser.parse_args()
     unknown = [name for name in options.attacks if name not in ATTACKS]
     if unknown:
         parser.error(f"unknown attack {unknown[0]!r}; expected {', '.join(ATTACKS)}")
     failed = False
     for name in options.attacks or ATTACKS:
-        campaign = Campaign(attack_named(name), options.seed)
+        attack = attack_named(name)
+        if options.verb is not None and name == "files":
+            attack = import_module(f"tests.attack.{ATTACKS[name]}").files_through(options.verb)
+        campaign = Campaign(attack, options.seed)
         try:
             campaign.run(options.seconds, options.count, options.first)
         except KeyboardInterrupt:

@@ -47,11 +47,13 @@ class Attack:
         name: its name.
         unit: what is counted.
         begin: return the attempts of a seed.
+        options: further options in the command that repeats an attempt.
     """
 
     name: str
     unit: str
     begin: Callable[[int], Attempt]
+    options: str = ""
 
 
 @final
@@ -114,8 +116,8 @@ class Campaign:
     def again(self, number: int) -> str:
         """Return the command that repeats one attempt."""
         return (
-            f"python -m tests.attack {self.attack.name} --seed {self.seed} --first {number} "
-            "--count 1"
+            f"python -m tests.attack {self.attack.name} {self.attack.options}--seed {self.seed} "
+            f"--first {number} --count 1"
         )
 
     def digest(self) -> str:

@@ -24,6 +24,7 @@ import weakref
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from random import Random
@@ -407,8 +408,8 @@ def _list_modules(words: Sequence[str]) -> int:
     return status
 
 
-def begin(seed: int) -> Attempt:
-    """Return the attempts: one damaged file each, through some of its uses."""
+def begin(seed: int, verb: str | None = None) -> Attempt:
+    """Return the attempts: one damaged file each, through some of its uses, or all of this verb."""
     folder = Folder()
     names = list(folder.originals)
     _import_what_is_used(folder)
@@ -420,7 +421,11 @@ def begin(seed: int) -> Attempt:
         original = folder.originals[name]
         dice = Random(f"{seed}:{number}")
         data = damage(original, dice)
-        uses = dice.sample(original.filled(), min(_USES_A_FILE, len(original.uses)))
+        uses = original.filled()
+        if verb is None:
+            uses = dice.sample(uses, min(_USES_A_FILE, len(uses)))
+        else:
+            uses = [words for words in uses if words[0] == verb]
         ran = run_in_child(uses, folder.lay_out(original, data))
         statuses = [status for status, _ in ran.used]
         if ran.problems(SECONDS_MAX):
@@ -452,3 +457,8 @@ def _one_by_one(name: str, uses: Iterable[Sequence[str]], folder: Callable[[], P
 
 
 FILES: Final = Attack("files", "files", begin)
+
+
+def files_through(verb: str) -> Attack:
+    """Return the attack with this verb only; an attempt has the same file as without."""
+    return Attack("files", "files", partial(begin, verb=verb), f"--verb {verb} ")

@@ -89,6 +89,12 @@ def test_unusable_dbc_is_one_line(recording, say, cantools):
     assert (status, out) == (2, "")
     assert err.startswith("bad.dbc: is not a usable DBC: ")
     assert err.count("\n") == 1
+    garbage = "9" * 3000
+    Path("long.dbc").write_text(f'VERSION ""\nBO_ 100 Foo: 8 {garbage}\n')
+    _, _, err = say("show", recording, "--dbc", "long.dbc")
+    place = "long.dbc: is not a usable DBC: invalid syntax at line 2, column 16: 999999"
+    assert err.startswith(place)
+    assert len(err) < 160
     status, _, err = say("show", recording, "--dbc", "missing.dbc")
     told = "missing.dbc: cannot be read: no such file or directory; check the name\n"
     assert (status, err) == (2, told)

@@ -244,8 +244,12 @@ def test_lines_named_by_addresses_can_be_replayed(folder, say):
     status, out, err = say("check", "2.mcap")
     assert (status, err) == (0, "")
     assert out == "2.mcap: generated: 1 bus, 1 controller\n"
-    status, _, err = say("run", "2.mcap", "nothing.py")
-    assert (status, "1 command of the recording never came" in err) == (0, True), err
+    for words in (
+        ("run", "2.mcap", "nothing.py"),
+        ("replay", "2.mcap", "--as=device", "--partial", "nothing.py"),
+    ):
+        status, _, err = say(*words)
+        assert (status, "1 command of the recording never came" in err) == (0, True), err
 
 
 def test_recording_without_devices_is_refused(folder, say):

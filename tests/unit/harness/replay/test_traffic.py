@@ -318,7 +318,11 @@ def test_as_traffic_sends_to_python_can_interface(capsys, tmp_path):
         (("--on", "virtual:1"), "the recording has frames of can0, can1; write --on can0=WHERE"),
         (("--on", "can7=virtual:1"), "the recording has frames of can0, can1"),
         (("--on", "can0=virtual:1", "--on", "can0=virtual:2"), "can0 has a destination already"),
-        (("--on", "can0=vcan7"), "vcan7"),
+        (("--on", "can0=vcan7"), "--on can0=vcan7: SocketCAN interface vcan7: "),
+        (
+            ("--on", "can0=hub.sock"),
+            "or, for the socket of a hub, write a path with a slash: ./hub",
+        ),
         (("--on", "can0=/nowhere/hub"), "no hub answers here"),
         (("--bus", "can9", "--on", "virtual:1"), "holds no CAN frame to send"),
         (("--rig", RIG, "--on", "can0=can7"), "can7"),
