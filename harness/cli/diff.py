@@ -2,20 +2,20 @@
 
 import argparse
 import json
-import sys
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import add_max_memory, real, whole
+from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.show import text_of
 from motorhil.harness.recording.conversion import open_recording
-from motorhil.harness.replay.verdict import meaning_in
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.digest import first_mismatch
+from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.semantics.diff import Difference, Tolerance, differences
-from motorhil.traces.semantics.model import Meaning
+from motorhil.traces.semantics.model import Meaning, meaning_of
 
 _NS = 1_000_000_000
 _AROUND_NS = 2 * _NS
@@ -65,22 +65,35 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.exact:
         return _exact(options)
-    first, second = (
-        meaning_in(path, "diff", memory_max=options.max_memory)
-        for path in (options.first, options.second)
-    )
-    tolerance = Tolerance(options.tolerance, round(options.tolerance_s * _NS))
-    found = differences(first, second, tolerance)
-    for path, meaning in ((options.first, first), (options.second, second)):
-        if not meaning.items and not meaning.motions:
-            print(f"motorhil diff: {path}: {_NO_EVENTS}", file=sys.stderr)
+    tell, limit = teller("diff"), options.max_memory
+    with (
+        open_recording(options.first, tell, memory_max=limit) as first,
+        open_recording(options.second, tell, memory_max=limit) as second,
+    ):
+        return _compare(options, first, second)
+
+
+def _compare(options: argparse.Namespace, first: Trace, second: Trace) -> int:
+    one, other = (_meaning_of(trace, options.max_memory) for trace in (first, second))
+    found = differences(one, other, Tolerance(options.tolerance, round(options.tolerance_s * _NS)))
     if options.json:
-        print(json.dumps({"same": not found, "differences": [_facts(one) for one in found]}))
+        print(json.dumps({"same": not found, "differences": [_facts(each) for each in found]}))
         return FAILED if found else PASSED
     if found:
-        _print_difference(options, found[0])
-    _summarise(first, second, found)
+        _print_difference((first, second), found[0], options.context)
+    _summarise(one, other, found)
     return FAILED if found else PASSED
+
+
+def _meaning_of(trace: Trace, memory_max: int) -> Meaning:
+    """Return the meaning of a recording; report a cut or an empty one on stderr."""
+    meaning = meaning_of(trace, memory_max=memory_max)
+    tell = teller("diff")
+    if trace.cut is not None:
+        tell(f"{trace.path}: {trace.cut}")
+    if not meaning.items and not meaning.motions:
+        tell(f"{trace.path}: {_NO_EVENTS}")
+    return meaning
 
 
 def _exact(options: argparse.Namespace) -> int:
@@ -93,34 +106,27 @@ def _exact(options: argparse.Namespace) -> int:
     return PASSED if mismatch is None else FAILED
 
 
-def _print_difference(options: argparse.Namespace, difference: Difference) -> None:
+def _print_difference(traces: tuple[Trace, Trace], difference: Difference, context: int) -> None:
     """Print the difference, with both recordings' context of the same node or motor."""
     print(f"first difference, {difference.time_ns / _NS:.6f} s: {difference}")
-    sides = ((options.first, difference.first), (options.second, difference.second))
-    for path, item in sides:
+    for trace, item in zip(traces, (difference.first, difference.second), strict=True):
         time_ns = difference.time_ns if item is None else item.time_ns
-        print(f"\n{path}:")
-        for line in _around(options, path, difference, time_ns):
+        print(f"\n{trace.path}:")
+        for line in _around(trace, difference, time_ns, context):
             mark = ">" if item is not None and line.time_ns == item.time_ns else " "
             print(f"{mark}{text_of(line)}")
 
 
-def _around(
-    options: argparse.Namespace, path: str, difference: Difference, time_ns: int
-) -> Sequence[Line]:
-    count: int = options.context
+def _around(trace: Trace, difference: Difference, time_ns: int, count: int) -> Sequence[Line]:
     before: deque[Line] = deque(maxlen=count)
     after: list[Line] = []
-    with open_recording(path, memory_max=options.max_memory) as trace:
-        story = Story(trace)
-        begin_ns = max(0, time_ns - _AROUND_NS)
-        for line in story.lines(begin_ns, time_ns + _AROUND_NS):
-            if not _is_about(line, difference):
-                continue
-            if line.time_ns < time_ns:
-                before.append(line)
-            elif line.time_ns == time_ns or len(after) <= count:
-                after.append(line)
+    for line in Story(trace).lines(max(0, time_ns - _AROUND_NS), time_ns + _AROUND_NS):
+        if not _is_about(line, difference):
+            continue
+        if line.time_ns < time_ns:
+            before.append(line)
+        elif line.time_ns == time_ns or len(after) <= count:
+            after.append(line)
     return [*before, *after]
 
 

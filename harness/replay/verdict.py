@@ -13,7 +13,6 @@ from motorhil.harness.replay.player import ExchangePlayer, Mismatch
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.narrative import Line
 from motorhil.traces.exchange.steps import Step
-from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.semantics.model import Meaning, meaning_of
 
 if TYPE_CHECKING:
@@ -102,7 +101,6 @@ def meaning_in(
     verb: str,
     names: RecordedNames | None = None,
     is_report: Callable[[Line], bool] | None = None,
-    memory_max: int = MEMORY_MAX,
 ) -> Meaning:
     """Return the recording's meaning; report a cut recording on stderr in the verb's name.
 
@@ -111,13 +109,12 @@ def meaning_in(
         verb: the verb of the command line.
         names: as of `meaning_of`.
         is_report: as of `meaning_of`.
-        memory_max: the most bytes that are made of one compressed piece of it.
 
     Raises:
         TraceError: the recording cannot be read, or is damaged.
     """
     tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
-    with open_recording(path, tell, memory_max=memory_max) as trace:
+    with open_recording(path, tell) as trace:
         meaning = meaning_of(trace, names, is_report)
         if trace.cut is not None:
             print(f"motorhil {verb}: {path}: {trace.cut}", file=sys.stderr)

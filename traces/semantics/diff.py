@@ -20,12 +20,10 @@ from difflib import SequenceMatcher
 from typing import Final, final
 
 from motorhil.traces.decoding.events import CONTROLLER, FOREIGN
-from motorhil.traces.semantics.model import COMMANDS, Item, Key, Meaning
+from motorhil.traces.semantics.model import COMMANDS, Item, Key, Meaning, Series
 
 _MEASURED_MIN: Final = 32
 """The number of different values in both from which on a subject is a measured quantity."""
-
-Series = tuple[list[int], list[float]]
 
 
 @final

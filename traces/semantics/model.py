@@ -5,7 +5,8 @@ and source of events has an order of its own, so frames of unrelated nodes can c
 Commands to one node keep their order.
 """
 
-from collections.abc import Callable
+from array import array
+from collections.abc import Callable, MutableSequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -13,6 +14,7 @@ from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.decoding.objects import axis_of
+from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import JOINT_STATE
@@ -25,6 +27,14 @@ _ALWAYS: Final = ("emergency", "NMT command")
 """Reports that count each time."""
 _QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
 """Motion that is compared: positions and set-points, but not measured velocities and currents."""
+
+
+_ITEM_BYTES: Final = 250
+_SAMPLE_BYTES: Final = 20
+_SHARED_MAX: Final = 1 << 14
+
+Series = tuple[MutableSequence[int], MutableSequence[float]]
+"""Times [ns] and values of a quantity."""
 
 
 @final
@@ -47,16 +57,19 @@ class Meaning:
         unheeded: number of reports of measured quantities that are not compared, by key.
         labels: names of keys, which depend on the names in the recording.
         messages: number of messages read.
+        kept_bytes: about the memory of items and motions.
     """
 
     def __init__(self, of_devices: bool = False) -> None:
         """Start empty; `of_devices` leaves out commands to nodes."""
         self._of_devices = of_devices
         self.items: dict[Key, list[Item]] = {}
-        self.motions: dict[Key, tuple[list[int], list[float]]] = {}
+        self.motions: dict[Key, Series] = {}
         self.unheeded: dict[Key, int] = {}
         self.labels: dict[Key, str] = {}
         self.messages = 0
+        self.kept_bytes: int = 0
+        self._shared: dict[tuple[object, ...], tuple[tuple[object, ...], str]] = {}
         self._last: dict[tuple[Key, str], object] = {}
 
     def take(self, line: Line, names: dict[tuple[str, int], str]) -> None:
@@ -64,7 +77,11 @@ class Meaning:
         if line.said is not None:
             self._take_said(line, line.said, names)
             return
-        what = tuple((name, value) for name, value in line.values if name in _TELLING)
+        what = tuple(
+            (name, tuple(value) if isinstance(value, list) else value)
+            for name, value in line.values
+            if name in _TELLING
+        )
         if line.topic == "/events":
             key: Key = ("events", None, line.names[0] if line.names else "")
         else:
@@ -120,12 +137,19 @@ class Meaning:
     ) -> None:
         self.labels.setdefault(key, label)
         text = line.text if fact is None else f"{fact.subject} = {fact.text}"
+        if len(self._shared) >= _SHARED_MAX:
+            self._shared.clear()
+        what, text = self._shared.setdefault((what, text), (what, text))
         self.items.setdefault(key, []).append(Item(line.time_ns, what, text))
+        self.kept_bytes += _ITEM_BYTES
 
     def _move(self, key: Key, time_ns: int, value: float) -> None:
-        times, values = self.motions.setdefault(key, ([], []))
-        times.append(time_ns)
-        values.append(value)
+        series = self.motions.get(key)
+        if series is None:
+            series = self.motions[key] = (array("Q"), array("d"))
+        series[0].append(time_ns)
+        series[1].append(value)
+        self.kept_bytes += _SAMPLE_BYTES
 
 
 _TELLING: Final = ("action", "owner", "holder", "phase", "motor", "method", "level", "message")
@@ -136,6 +160,7 @@ def meaning_of(
     trace: Trace,
     names: RecordedNames | None = None,
     is_report: Callable[[Line], bool] | None = None,
+    memory_max: int | None = None,
 ) -> Meaning:
     """Return the meaning of a recording; of a cut one, as far as it goes.
 
@@ -144,9 +169,10 @@ def meaning_of(
         names: names and objects of its nodes; None: those in the recording.
         is_report: returns True for the lines to take, and the result has only the reports in them;
             None: all lines, with commands.
+        memory_max: the most bytes of its events and motion; None: any.
 
     Raises:
-        TraceError: the recording is damaged.
+        TraceError: the recording is damaged, or has more events and motion.
     """
     story, meaning = Story(trace, names), Meaning(of_devices=is_report is not None)
     for message in trace.messages():
@@ -157,6 +183,10 @@ def meaning_of(
         line = story.line(message)
         if line is not None and (is_report is None or is_report(line)):
             meaning.take(line, story.names.nodes)
+        if memory_max is not None and meaning.kept_bytes > memory_max:
+            what = f"its events and motion need more than {memory_max >> 20} MiB"
+            remedy = "say --max-memory MIB for more, or compare the bytes with --exact"
+            raise TraceError(trace.path, what, remedy=remedy)
     return meaning
 
 

@@ -4,7 +4,10 @@ import json
 import pytest
 
 from motorhil.harness.cli import diff
+from motorhil.traces.errors import TraceError
+from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
+from motorhil.traces.semantics.model import meaning_of
 from tests.support.recordings.handmade import MS, Recorded, S
 
 SHUTDOWN = ("2B40600006", "604060")
@@ -284,6 +287,25 @@ def test_peak_between_samples_is_found_both_ways(compare):
         status, out = compare(*pair)
         assert status == 1
         assert "0.5 at 1.000000 s" in out.splitlines()[0]
+
+
+def test_meaning_beyond_the_memory_is_refused(tmp_path):
+    one = Recorded(tmp_path / "it.mcap")
+    ordinary(one)
+    with read_trace(one.close()) as trace:
+        needed = meaning_of(trace).kept_bytes
+        assert meaning_of(trace, memory_max=needed).kept_bytes == needed
+        with pytest.raises(TraceError, match=r"more than 0 MiB.*--max-memory.*--exact"):
+            meaning_of(trace, memory_max=needed - 1)
+
+
+def test_many_beginnings_of_a_group_are_compared(compare):
+    def make(one):
+        for number in range(40):
+            sync = {"phase": 1, "motor": ["left", "right"], "method": "SYNC"}
+            one.message(number * MS, "/group/drive/sync", GROUP_SYNC, sync)
+
+    assert compare(make, make)[0] == 0
 
 
 def test_context_omits_other_nodes(compare):
