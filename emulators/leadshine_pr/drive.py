@@ -234,6 +234,14 @@ class LeadshinePr(ModbusDrive):
         self._begin(path)
 
     def _begin(self, path: int) -> None:
+        for _ in range(r.PATHS):
+            path = self._run(path)
+            if path == _NONE:
+                return
+        self.tell("warning", "paths without a motion jump in a circle; the last one ends")
+
+    def _run(self, path: int) -> int:
+        """Run a path; return the path that follows at once, if it has no motion."""
         bank, axis = self.bank, self.axis
         self._homing.abandon()
         self._waiting, self._jog_until_ns, self._dwell_until_ns = _NONE, NEVER_NS, NEVER_NS
@@ -257,7 +265,8 @@ class LeadshinePr(ModbusDrive):
             self._path = _NONE
             self._homing.begin()
         else:
-            self._finish()
+            return self._end()
+        return _NONE
 
     def _controlled(self, value: int) -> int:
         if value == r.RESET_ALARM:
@@ -329,16 +338,18 @@ class LeadshinePr(ModbusDrive):
             self._dwell_until_ns = self.now_ns + self.bank[f"path{self._path}_dwell"] * _MS
         if self.now_ns < self._dwell_until_ns or not self.axis.flags & f.IN_TARGET_WINDOW:
             return
-        self._finish()
+        follower = self._end()
+        if follower != _NONE:
+            self._begin(follower)
 
-    def _finish(self) -> None:
+    def _end(self) -> int:
+        """End the path; return the one that follows."""
         mode, follower = self.bank[f"path{self._path}_mode"], self._waiting
         if follower == _NONE and mode & r.JUMPS:
             follower = mode >> r.JUMP_SHIFT & 0x0F
         self._path, self._is_positioning, self._dwell_until_ns = _NONE, False, NEVER_NS
         self._command_done = self._path_done = True
-        if follower != _NONE:
-            self._begin(follower)
+        return follower
 
     def _look_at_limits(self) -> None:
         if self._path == _NONE and self._jog_until_ns == NEVER_NS:

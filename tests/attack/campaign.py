@@ -103,7 +103,7 @@ class Campaign:
             what = f"{type(error).__name__}: {error}".splitlines()[0]
             kind = _NUMBER.sub("N", what)
             if kind not in self.findings and len(self.findings) < FINDINGS_SHOWN:
-                traceback.print_exception(error)
+                traceback.print_exception(error, limit=-20)  # the last ones: a recursion has many
                 print(f"FAILED: {self.attack.name}: seed {self.seed}, attempt {number}: {what}")
                 print(f"again: {self.again(number)}", flush=True)
             self.findings.setdefault(kind, number)

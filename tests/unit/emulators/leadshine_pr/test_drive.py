@@ -146,6 +146,19 @@ def test_jumping_paths_follow_after_dwell(bench):
     assert bench.read(0x602C, 2) == 12_000
 
 
+def test_paths_without_motion_in_a_circle_end_with_warning(bench):
+    enable(bench)
+    path(bench, 0x4000 | 1 << 8, 0)
+    path(bench, 0x4000, 0, number=1)
+    bench.write(TRIGGER, 0x10)
+    assert bench.told() == ["paths without a motion jump in a circle; the last one ends"]
+    assert bench.truth()["path"] == -1
+    path(bench, ABSOLUTE, 10_000, number=2)
+    bench.write(TRIGGER, 0x12)
+    bench.run_ms(700)
+    assert bench.read(0x602C, 2) == 10_000
+
+
 def test_trigger_without_current_is_ignored_and_reported(bench):
     path(bench, ABSOLUTE, 10_000)
     bench.write(TRIGGER, 0x10)
