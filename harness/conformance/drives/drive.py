@@ -213,6 +213,15 @@ class Drive:
         if not holds:
             raise self.violated(what, expected, seen, cause)
 
+    def near(
+        self, entry: Entry, wanted: float, tolerance: float, what: str, cause: str = ""
+    ) -> int:
+        """Expect a value of an object within a tolerance; return it."""
+        value = self.read(entry)
+        expected = f"{entry} = {wanted:.0f} +- {tolerance:.0f}"
+        self.expect(abs(value - wanted) <= tolerance, what, expected, f"{value}", cause)
+        return value
+
     # --- states -------------------------------------------------------------------------------
 
     def statusword(self) -> int:
@@ -424,6 +433,10 @@ class Drive:
             if ends(samples[-1]):
                 break
         return samples
+
+    def watch_to(self, entry: Entry, value: int, within_s: float, *, sign: int = 1) -> list[Sample]:
+        """Sample an object until it reaches a value, from below or (sign = -1) from above."""
+        return self.watch(entry, lambda one: sign * (one.value - value) >= 0, within_s)
 
     def braked(self, from_velocity: int, within_s: float, what: str) -> float | None:
         """Watch the motor come to rest; return its deceleration [acceleration units].

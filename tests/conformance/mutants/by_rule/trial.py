@@ -61,13 +61,11 @@ class Trial:
 
 def prepare(modules: Sequence[str] = ()) -> None:
     """Import everything that trials need, once, before they are forked."""
-    from motorhil.harness.conformance.kit import all_clauses
-
-    all_clauses()
     for name in modules:
         with suppress(ImportError):
             import_module(name)
     for name in benches.names():
+        benches.clauses(name)
         with benches.opener(name)():  # reads the files that benches are made of
             pass
     forget_results()
@@ -110,9 +108,8 @@ def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> Non
     begin_s = cpu_s()
     load(mutant, afresh=afresh)
     if afresh:
-        from motorhil.harness.conformance.kit import all_clauses
-
-        all_clauses()
+        for run in plan:
+            benches.clauses(run.bench)
     withdrawn = None
     for run in plan:
         limit(max(_LEAST_S, _TIMES * run.cpu_s), _WALL_S)
