@@ -272,7 +272,7 @@ class Drive:
 
     def has_mode(self, mode: Mode) -> bool:
         """Return whether 6502h names the mode."""
-        return bool(self.read(od.SUPPORTED_MODES) >> (mode - 1) & 1)
+        return bool((self.find(od.SUPPORTED_MODES) or 0) >> (mode - 1) & 1)
 
     def require_mode(self, mode: Mode) -> None:
         """Raise NotApplicable if the drive does not claim the mode."""

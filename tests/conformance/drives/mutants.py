@@ -114,6 +114,11 @@ def csp_is_claimed_falsely(patch):
     _wrap(patch, PowerDrive, "_select", lambda good: lambda s, mode: mode == 8 or good(s, mode))
 
 
+@mutant("OD-07", 'quirks = ["halt_holds_mode"]')
+def halt_holds_the_mode(patch):
+    """6060h is ignored while bit 8 of 6040h is 1."""
+
+
 @mutant("OD-06")
 def store_needs_no_signature(patch):
     """1010h stores with any signature."""
@@ -805,6 +810,12 @@ def velocity_demand_is_not_shown(patch):
 def following_error_has_the_other_sign(patch):
     """60F4h is 6064h - 6062h."""
     _wrap(patch, units.Units, "length_raw", lambda good: lambda s, value: -good(s, value))
+
+
+@mutant("VAL-02", DRIVES["more objects"])
+def dc_link_voltage_is_in_volts(patch):
+    """6079h is in V."""
+    _wrap(patch, Readings, "supply", lambda good: lambda s: good(s) // 1000)
 
 
 @mutant("FAC-01")

@@ -5,7 +5,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from motorhil.emulators.cia402.settings import CATALOGUE
 from motorhil.harness.cli.main import main
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.drives.kit import drive_clauses
@@ -15,20 +14,7 @@ from motorhil.harness.conformance.target import Job
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.version import cores_are_compiled
 from tests.conformance.drives.mutants import MUTANTS
-from tests.conformance.drives.rigs import DRIVES, target, text_of
-
-DEVIATIONS = {
-    "inverted_set_point_acknowledge",
-    "single_set_point_only",
-    "edge_only_bits",
-    "stale_target_reached",
-    "halt_holds_mode",
-    "stray_emcy",
-    "misplaced_error_register",
-}
-"""Quirks that break a promise of the standards; all others are legal behaviour."""
-LEGAL = [quirk.name for quirk in CATALOGUE if quirk.name not in DEVIATIONS]
-
+from tests.conformance.drives.rigs import DEVIATIONS, DRIVES, LEGAL, target, text_of
 
 SPEED = 'objects = { "6081h" = 40000, "6083h" = 400000 }'
 RPM = "units = { velocity_unit_inc_s = 33.3333, acceleration_unit_inc_s2 = 33.3333 }"
@@ -74,9 +60,15 @@ def test_stated_switches_make_their_clauses_apply(drive, names):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("drive", [name for name in DRIVES if not name.startswith("quirk ")])
 def test_correct_drive_is_not_accused(drive):
     assert accusations(target(DRIVES[drive])) == []
+
+
+@pytest.mark.parametrize("quirk", DEVIATIONS)
+def test_deviating_drive_has_its_finding(quirk):
+    seen = verdict(target(DRIVES[f"quirk {quirk}"]), DEVIATIONS[quirk])
+    assert seen.result is Result.FAILED, seen
 
 
 @pytest.mark.parametrize(("keys", "wanted"), [("true", Result.PASSED), ("false", Result.FAILED)])

@@ -7,10 +7,14 @@ from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Mode
+from motorhil.harness.conformance.drives.objects import Entry, Mode
 
 _VALUES: Final = "CiA 402-2, 6062h, 6063h, 6064h, 606Bh, 606Ch, 60F4h, 60FCh"
 _FACTORS: Final = "CiA 402-2, factor group: 6091h, 6092h, 6096h, 6097h"
+_OTHER_UNITS: Final = (
+    *(Entry(0x608C, 0, "B", "dimension index"), Entry(0x608E, 0, "B", "dimension index")),
+    *(Entry(0x60A8, 0, "I", "SI unit"), Entry(0x60A9, 0, "I", "SI unit")),
+)
 _NEGATIVE, _POSITIVE, _SHORTEST = 0x40, 0x80, 0xC0  # 60F2h bits 6 and 7: rotary axis
 
 
@@ -64,6 +68,8 @@ def factors_have_effect(bench: DriveBench) -> None:
     drive.require_mode(Mode.PV)
     if bench.stated.get("units"):
         raise NotApplicable("the rig states the units: factors have no effect")
+    if any(drive.find(entry) for entry in _OTHER_UNITS):
+        raise NotApplicable("an SI unit or a dimension index replaces the factors")
     drive.require(od.VELOCITY_FACTOR, od.ACCELERATION_FACTOR, od.FEED)
     pace = drive.pace()
     plain = drive.units()
@@ -249,3 +255,16 @@ def buffer_of_set_points(bench: DriveBench) -> None:
         drive.expect(not word & od.BIT_12, what, "bit 12 = 0 in the end", f"{word:04X}h")
         drive.offer(start)
         drive.await_target(start, 2.0 * way / pace.speed + 4.0 * pace.ramp_s + 1.0, "back")
+
+
+@drive_clause("VAL-02", Level.L1, source="CiA 402-2, DC link circuit voltage 6079h [mV]")
+def dc_link_voltage(bench: DriveBench) -> None:
+    """6079h is the voltage of the DC link in mV: the supply's when at rest, and 0 without it."""
+    drive = bench.drive
+    drive.require(od.DC_LINK)
+    volts = drive.read(od.DC_LINK)
+    drive.expect(5_000 <= volts <= 1_000_000, "6079h", "5 V to 1000 V, in mV", f"{volts}")
+    for power, wanted in ((0, 0), (1, volts)):
+        bench.stimulate("power", power)
+        drive.quiet(0.1)
+        drive.near(od.DC_LINK, wanted, volts / 50.0, f"power = {power}")

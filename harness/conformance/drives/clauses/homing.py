@@ -237,7 +237,7 @@ def home_at_next_index_pulse(bench: DriveBench) -> None:
         drive.expect(-2 <= way <= turn + 2, what, f"0 to {turn:.0f} from the start", f"{way:.0f}")
         homes.append(home * per_rad)
     apart, again = homes[1] - homes[0], homes[2] - homes[0]
-    is_one_turn = abs(apart - turn) <= 3 and abs(again) <= 2
+    is_one_turn = abs(apart - turn) <= drive.window() and abs(again) <= drive.window()
     expected = f"index pulses {turn:.0f} apart"
     drive.expect(is_one_turn, "methods 33 and 34", expected, f"{apart:.0f}, {again:.0f}")
 

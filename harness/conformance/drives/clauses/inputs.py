@@ -267,7 +267,7 @@ def probe_in_motion(bench: DriveBench) -> None:
     drive.require_mode(Mode.PP)
     bench.require_stated("switches", "touch_probe_1_from_rad", "touch_probe_1_to_rad")
     pace = drive.pace()
-    start = drive.read(od.POSITION)
+    start, slack = drive.read(od.POSITION), drive.window() // 2  # for backlash
     inc_rad = scale(bench, pace)
     edges = [switches[f"touch_probe_1_{end}_rad"] * inc_rad for end in ("from", "to")]
     drive.write(od.PROBE_FUNCTION, _ON | _EVERY | _RISING | _FALLING)
@@ -279,7 +279,7 @@ def probe_in_motion(bench: DriveBench) -> None:
             drive.await_target(target, 30.0 * pace.ramp_s + STATE_S, "a move past the input")
             rising, falling = (_latched(drive, 0x60BA, 0x60D5, place)[0] for place in (0, 1))
             seen = [rising, falling] if sign > 0 else [falling, rising]
-            near = all(abs(a - b) <= 2.0 for a, b in zip(seen, edges, strict=True))
+            near = all(abs(a - b) <= slack for a, b in zip(seen, edges, strict=True))
             what = f"touch probe 1, passed at 6081h = {velocity} in direction {sign}"
-            wanted = f"{edges[0]:.0f}, {edges[1]:.0f} +- 2"
+            wanted = f"{edges[0]:.0f}, {edges[1]:.0f} +- {slack}"
             drive.expect(near, what, wanted, f"{seen}", "the position is latched too late")

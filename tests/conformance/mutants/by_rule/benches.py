@@ -34,8 +34,19 @@ def clauses(name: str) -> Any:
     """Return the clauses for this bench by id."""
     from motorhil.harness.conformance.drives.kit import drive_clauses
     from motorhil.harness.conformance.kit import all_clauses
+    from tests.conformance.drives import rigs
 
-    return drive_clauses() if is_of_drive(name) else all_clauses()
+    if not is_of_drive(name):
+        return all_clauses()
+    own = rigs.CLAUSES.get(name.removeprefix(_DRIVE))
+    return {key: one for key, one in drive_clauses().items() if own is None or key in own}
+
+
+def has_known_finding(clause: str, name: str) -> bool:
+    """Return whether this clause must fail on this bench: its drive deviates on purpose."""
+    from tests.conformance.drives.rigs import known_finding
+
+    return is_of_drive(name) and known_finding(name.removeprefix(_DRIVE)) == clause
 
 
 @cache

@@ -122,10 +122,11 @@ def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> Non
             "cpu_s": cpu_s() - begin_s,
             "outcome": "",
         }
-        if not verdict.result.is_good:
+        if verdict.result.is_good is (run.result == "failed"):  # or a known finding has gone
             is_hanging = verdict.result.value == "hung"
             outcome = Outcome.HANGS if is_hanging else Outcome.KILLED
-            tell({**answer, "outcome": outcome.value})
+            seen = verdict.seen or f"no finding: {run.clause} fails on this drive"
+            tell({**answer, "seen": seen, "outcome": outcome.value})
             return
         if verdict.result.value != run.result and withdrawn is None:
             withdrawn = {**answer, "outcome": Outcome.WITHDRAWN.value}
