@@ -309,6 +309,17 @@ class Drive:
             self._units = units_of(self.find, self._stated_units)
         return self._units
 
+    def turn(self) -> float:
+        """Return the position units of one turn of the motor.
+
+        Raises:
+            NotApplicable: 608Fh does not state the encoder.
+        """
+        increments = self.find(od.ENCODER_INCREMENTS) or 0
+        if increments <= 1:
+            raise NotApplicable("608Fh does not state the increments of the encoder")
+        return increments / self.units().position_inc
+
     def pace(self) -> Pace:
         """Set ramps and speed to what the drive states itself at power-on, and return them.
 

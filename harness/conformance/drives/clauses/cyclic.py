@@ -198,7 +198,7 @@ def halt_in_csp(bench: DriveBench) -> None:
     stream, start, step = _position_stream(bench)
     stream.line(start, start + 40 * step, step)
     drive.command(od.ENABLE | od.HALT)
-    stream.send(start + 41 * step, 20)
+    stream.send(start + 41 * step, 20 + round(stream.pace.ramp_s / SYNC_S))
     place = drive.read(od.POSITION)
     most = 40 * step + 0.6 * stream.pace.ramp_s * stream.pace.speed
     what = f"halt at {start + 40 * step:.0f} in csp"
@@ -266,12 +266,12 @@ def interpolation_period(bench: DriveBench) -> None:
         place += 4.0 * step
         begin_ns = drive.now_ns
         stream.send(place)
-        last = round(place)
+        last = round(place) - 1  # rounded twice
         track = drive.watch_to(od.POSITION_DEMAND, last, 0.2)
         took_s = (track[-1].time_ns - begin_ns) / 1e9
         what = f"607Ah = {place:.0f}, 60C2h = {drive.read(od.PERIOD)}"
         expected = f"6062h there after {time_s:.3f} s +- 5 ms"
-        is_there = track[-1].value >= last and abs(took_s - time_s) <= 0.005
+        is_there = track[-1].value >= last and abs(took_s - time_s) <= 0.005 + stream.pace.sample_s
         seen = f"{track[-1].value}, {took_s:.4f} s"
         drive.expect(is_there or took_s < SYNC_S + 0.005 >= time_s, what, expected, seen, "ignored")
 
@@ -321,7 +321,9 @@ def cyclic_torque(bench: DriveBench) -> None:
     if bench.is_real:
         raise NotApplicable("a free motor would race: torque modes are tried on emulated benches")
     stream = _Stream(bench, Mode.CST, od.TARGET_TORQUE, 0)
-    pace, torque = stream.pace, 4 * _TORQUE_NOISE
+    pace, torque = stream.pace, min(4 * _TORQUE_NOISE, drive.read(od.TORQUE_MAX) // 3)
+    if torque < 2 * _TORQUE_NOISE:
+        raise NotApplicable(f"6072h = {3 * torque}: too little torque to be judged")
     for target, offset, most in (
         (torque, 0, None),
         (-torque, 0, None),
@@ -330,11 +332,11 @@ def cyclic_torque(bench: DriveBench) -> None:
         (0, torque // 2, None),
         (-torque, 0, torque // 2),
     ):
-        if most is not None:
+        if most is not None and most > 4:  # less is a value that no host has set
             drive.set(od.TORQUE_MAX, most)
         drive.write(od.TORQUE_OFFSET, offset)
-        speed = drive.read(od.VELOCITY)
         stream.send(target, 4)
+        speed = drive.read(od.VELOCITY)
         what = f"cst, 6071h = {target}, 60B2h = {offset}, 6072h = {most}"
         wanted = target + offset if most is None else -most
         drive.near(od.TORQUE, wanted, _TORQUE_NOISE, what, "an object is ignored")
@@ -342,8 +344,10 @@ def cyclic_torque(bench: DriveBench) -> None:
         bits = word & (od.INTERNAL_LIMIT | od.BIT_12)
         expected = od.BIT_12 if most is None else od.INTERNAL_LIMIT
         drive.expect(bits == expected, what, f"bits 11, 12: {expected:04X}h", f"{word:04X}h")
+        stream.send(target, 2)
         gained = drive.read(od.VELOCITY) - speed
-        drive.expect(gained * wanted > 0, what, "speed gained with its sign", f"{gained}")
+        is_gained = gained * wanted > 0 or abs(wanted) < torque
+        drive.expect(is_gained, what, "speed gained with its sign", f"{gained}")
     drive.write(od.TORQUE_OFFSET, 0)
     drive.command(od.ENABLE | od.HALT)
     stream.send(torque // 2, 30 + round(4.0 * pace.ramp_s / SYNC_S))
@@ -415,12 +419,28 @@ def sync_may_be_absent(bench: DriveBench) -> None:
     drive.near(od.POSITION, place, drive.window(), "1 s without SYNC", "the motor runs on")
 
 
+def _let_pass(drive: Drive, has_sync: bool) -> None:
+    """Let 20 periods pass, with SYNC or without."""
+    for _ in range(20):
+        if has_sync:
+            sync(drive)
+        else:
+            drive.quiet(SYNC_S)
+
+
+def _empty_buffer(drive: Drive) -> None:
+    """Make 60C4h a FIFO of 16 records, which some files do not."""
+    for entry, value in ((od.IP_ORGANISATION, 0), (od.IP_SIZE, 16), (od.IP_CLEAR, 1)):
+        drive.offer_value(entry, value)
+
+
 @drive_clause("IP-01", Level.L4, source=f"{_IP}, 60C1h:1, 60C2h, controlword bit 4")
 def interpolated_position(bench: DriveBench) -> None:
     """In ip with bit 4 = 1, one record is reached in each 60C2h, in order, and bit 12 is 1."""
     drive = bench.drive
     drive.require_mode(Mode.IP)
     drive.require(od.IP_RECORD, od.PERIOD, od.PERIOD_INDEX)
+    _empty_buffer(drive)
     pace = drive.pace()
     drive.set(od.PERIOD_INDEX, -3)
     drive.set(od.PERIOD, _PERIOD_MS)
@@ -446,23 +466,21 @@ def interpolated_position(bench: DriveBench) -> None:
             sync(drive)
         last = round(start + 8 * step)
         if not has_sync:
-            track = drive.watch_to(od.POSITION_DEMAND, last, 1.0)
+            track = drive.watch_to(od.POSITION_DEMAND, last - 1, 1.0)
             took_s = (track[-1].time_ns - begin_ns) / 1e9
             expected, seen = f"{last} after {8 * SYNC_S:.3f} s +- 8 ms", f"{took_s:.4f} s"
-            is_paced = track[-1].value == last and abs(took_s - 8 * SYNC_S) <= 0.008
+            slack_s = 0.008 + 2.0 * pace.sample_s
+            is_paced = abs(track[-1].value - last) <= 1 and abs(took_s - 8 * SYNC_S) <= slack_s
             drive.expect(is_paced, what, expected, seen, "60C2h is not the pace")
         reached = drive.until(lambda word: word & od.TARGET_REACHED != 0, STATE_S)
         drive.expect(reached is not None, what, "bit 10 = 1 in the end", "0")
+        _let_pass(drive, has_sync)
         drive.near(od.POSITION, last, drive.window(), what, "a record is lost")
         for place in range(1, 3):  # a running interpolation goes on with the next records
             drive.write(od.IP_RECORD, round(last + place * step))
             if has_sync:
                 sync(drive)
-        for _ in range(20):
-            if has_sync:
-                sync(drive)
-            else:
-                drive.quiet(SYNC_S)
+        _let_pass(drive, has_sync)
         drive.near(od.POSITION, last + 2 * step, drive.window(), f"{what}, two more", "ip ended")
         drive.command(od.ENABLE)
 
@@ -473,6 +491,7 @@ def interpolation_is_halted(bench: DriveBench) -> None:
     drive = bench.drive
     drive.require_mode(Mode.IP)
     drive.require(od.IP_RECORD, od.PERIOD, od.PERIOD_INDEX)
+    _empty_buffer(drive)
     pace = drive.pace()
     drive.set(od.PERIOD_INDEX, -3)
     drive.set(od.PERIOD, 5 * _PERIOD_MS)
@@ -509,6 +528,7 @@ def interpolation_buffer(bench: DriveBench) -> None:
     drive = bench.drive
     drive.require_mode(Mode.IP)
     drive.require(od.IP_RECORD, od.IP_SIZE, od.IP_ORGANISATION)
+    _empty_buffer(drive)
     pace = drive.pace()
     for entry in (od.PERIOD, od.PERIOD_INDEX):
         drive.set(entry, _PERIOD_MS if entry is od.PERIOD else -3)
@@ -540,7 +560,7 @@ def interpolation_buffer(bench: DriveBench) -> None:
     drive.near(od.POSITION, start, drive.window(), "60C4h:6 = 0, then 1", "records are kept")
     drive.command(od.ENABLE)
     most = drive.find(Entry(0x60C4, 1, "I", "maximum buffer size"))
-    if most is not None:
+    if most is not None and most > 4:  # less is a value that no host has set
         for wrong in (0, most + 1):
             code = drive.offer_value(od.IP_SIZE, wrong)
             drive.expect(code != 0, f"60C4h:2 = {wrong}", "an abort code", "accepted")

@@ -109,6 +109,17 @@ def scale(bench: DriveBench, pace: Pace) -> float:
     return (ends[1][0] - ends[0][0]) / (ends[1][1] - ends[0][1])
 
 
+def _set_speeds(drive: Drive, pace: Pace) -> None:
+    """Set 6099h and 609Ah, which many files leave at 0, to what the drive can do."""
+    for entry, value in (
+        (od.SEARCH_SPEED, max(1, pace.velocity // 2)),
+        (od.ZERO_SPEED, max(1, pace.velocity // 20)),
+        (od.HOMING_ACCELERATION, pace.acceleration),
+    ):
+        if drive.find(entry) is not None:
+            drive.write(entry, value)
+
+
 def _move_to(bench: DriveBench, pace: Pace, place_rad: float, per_rad: float) -> None:
     """Move to a place of the output in pp, and enable hm there."""
     drive = bench.drive
@@ -159,7 +170,7 @@ def _expect_home(bench: DriveBench, method: int, start_rad: float, per_rad: floa
     is_there = abs(home - edge_rad) <= 2.0 * unit_rad
     wanted = f"{edge} = {edge_rad:g} rad +- 2 position units"
     if method not in _EDGES:
-        turn_rad = drive.read(od.ENCODER_INCREMENTS) / drive.units().position_inc * unit_rad
+        turn_rad = drive.turn() * unit_rad
         turns = home / turn_rad - switches.get("index_rad", 0.0) / (2.0 * pi)
         is_index = abs(turns - round(turns)) * turn_rad < 3.0 * unit_rad
         is_there = is_index and -2.0 * unit_rad <= way * (home - edge_rad) <= turn_rad
@@ -175,6 +186,7 @@ def _begin(bench: DriveBench, *keys: str) -> float:
     drive.require_mode(Mode.HM)
     drive.require_mode(Mode.PP)
     drive.set(od.HOME_OFFSET, _OFFSET)
+    _set_speeds(drive, drive.pace())
     return scale(bench, drive.pace())
 
 
@@ -221,10 +233,10 @@ def home_at_next_index_pulse(bench: DriveBench) -> None:
     drive = bench.drive
     drive.require_mode(Mode.HM)
     drive.require_mode(Mode.PP)
-    drive.require(od.ENCODER_INCREMENTS)
     pace = drive.pace()
+    _set_speeds(drive, pace)
     per_rad = scale(bench, pace)
-    turn = drive.read(od.ENCODER_INCREMENTS) / drive.units().position_inc
+    turn = drive.turn()
     start_rad = bench.true_position_rad() + 0.3 * turn / per_rad
     homes = []
     for method, sign in ((33, -1), (34, 1), (33, -1)):
@@ -251,7 +263,7 @@ def homing_is_interrupted(bench: DriveBench) -> None:
     pace = drive.pace()
     bench.stimulate("home", 0)
     drive.set(od.HOMING_METHOD, 24)
-    drive.write(od.HOMING_ACCELERATION, pace.acceleration)
+    _set_speeds(drive, pace)
     drive.ramps(2 * pace.acceleration)
     for velocity, word in ((pace.velocity, od.ENABLE), (pace.velocity // 2, None)):
         drive.write(od.SEARCH_SPEED, velocity)
@@ -285,7 +297,8 @@ def homing_fails(bench: DriveBench) -> None:
     """A limit switch that the method does not expect, or a second one, is homing error (bit 13)."""
     drive = bench.drive
     drive.require_mode(Mode.HM)
-    drive.pace()
+    drive.require(od.SEARCH_SPEED, od.ZERO_SPEED)
+    _set_speeds(drive, drive.pace())
     bench.stimulate("home", 0)
     for method, names in (
         (20, ("positive_limit",)),

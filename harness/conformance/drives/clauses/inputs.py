@@ -60,7 +60,8 @@ def inputs_are_shown(bench: DriveBench) -> None:
 def _run_into(bench: DriveBench, pace: Pace, sign: int, mode: Mode) -> None:
     """Move in a direction in pv or pp, until 606Ch has its speed."""
     drive = bench.drive
-    drive.write(od.TARGET_VELOCITY, 0)
+    if mode is Mode.PV:
+        drive.write(od.TARGET_VELOCITY, 0)
     drive.enable(mode)
     if mode is Mode.PV:
         drive.write(od.TARGET_VELOCITY, sign * pace.velocity)
@@ -160,7 +161,7 @@ def touch_probes(bench: DriveBench) -> None:
     """Both touch probes latch 6064h at the edges that 60B8h enables, once or at every event."""
     drive = bench.drive
     drive.require_mode(Mode.PP)
-    drive.require(od.PROBE_FUNCTION, od.PROBE_STATUS)
+    drive.require(od.PROBE_FUNCTION, od.PROBE_STATUS, Entry(0x60D5, 0, "H", "edge counter"))
     pace = drive.pace()
     drive.enable(Mode.PP)
     for name, _, shift, value, events in _PROBES:
@@ -201,9 +202,9 @@ def index_pulse(bench: DriveBench) -> None:
     """A touch probe on the index pulse latches positions one turn of the motor apart."""
     drive = bench.drive
     drive.require_mode(Mode.PV)
-    drive.require(od.PROBE_FUNCTION, od.ENCODER_INCREMENTS)
+    drive.require(od.PROBE_FUNCTION)
     pace = drive.pace()
-    turn = drive.read(od.ENCODER_INCREMENTS) / drive.units().position_inc
+    turn = drive.turn()
     velocity = max(1, round(pace.velocity * min(1.0, 4.0 * turn / pace.speed)))
     for sources, function in (((1, 2), _INDEX), ((5, 6), _BY_SOURCE)):
         for place, source in enumerate(sources, 1):
