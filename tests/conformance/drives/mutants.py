@@ -25,6 +25,7 @@ from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorqu
 from motorhil.emulators.cia402.objects import mode_objects, units
 from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
 from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
+from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
@@ -784,6 +785,12 @@ def slippage_is_ignored(patch):
     _always(patch, MotionObjects, "slippage_inc_s", 0.0)
 
 
+@mutant("PV-10")
+def windows_are_never_applied(patch):
+    """Windows and thresholds that are written have no effect."""
+    _always(patch, ServoObjects, "apply_windows", None)
+
+
 @mutant("PV-09")
 def acceleration_limit_is_ignored(patch):
     """60C5h has no effect."""
@@ -810,6 +817,12 @@ def velocity_demand_is_not_shown(patch):
 def following_error_has_the_other_sign(patch):
     """60F4h is 6064h - 6062h."""
     _wrap(patch, units.Units, "length_raw", lambda good: lambda s, value: -good(s, value))
+
+
+@mutant("VAL-03", DRIVES["more objects"])
+def velocity_sensor_is_in_rpm(patch):
+    """6069h is in rpm."""
+    _wrap(patch, Readings, "velocity_sensor", lambda good: lambda s: good(s) * 60 // 2000)
 
 
 @mutant("VAL-02", DRIVES["more objects"])

@@ -38,8 +38,8 @@ def accusations(target):
     return [one for one in verdicts if one.result not in (Result.PASSED, Result.NOT_APPLICABLE)]
 
 
-NEEDS_STATEMENTS = {"HOME-03", "HOME-04", "HOME-05", "TP-04", "CYC-01"}
-"""Clauses about switches and monitoring that the kit's own rig does not state."""
+NEEDS_STATEMENTS = {"HOME-03", "HOME-04", "HOME-05", "TP-04", "CYC-01", "VAL-02"}
+"""Clauses about switches, monitoring and objects that the kit's own drive does not have."""
 
 
 def test_built_in_drive_keeps_every_clause():

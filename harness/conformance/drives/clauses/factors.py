@@ -20,7 +20,7 @@ _NEGATIVE, _POSITIVE, _SHORTEST = 0x40, 0x80, 0xC0  # 60F2h bits 6 and 7: rotary
 
 @drive_clause("VAL-01", Level.L1, source=_VALUES)
 def demand_and_actual_values_agree(bench: DriveBench) -> None:
-    """60F4h is 6062h - 6064h; 606Bh is the speed of 6062h; 6063h, 60FCh, 6069h count increments."""
+    """60F4h is 6062h - 6064h, and 606Bh is the speed of 6062h, at rest and in both directions."""
     drive = bench.drive
     drive.require_mode(Mode.PV)
     drive.require(od.POSITION_DEMAND, od.FOLLOWING_ERROR, od.VELOCITY_DEMAND)
@@ -40,19 +40,6 @@ def demand_and_actual_values_agree(bench: DriveBench) -> None:
         place = drive.read(od.POSITION)
         what = f"60F4h = {error}, {what}"
         drive.near(od.POSITION_DEMAND, place + error, slack, what, "60F4h has another sign or unit")
-        for entry, other in (
-            (od.POSITION_INTERNAL, od.POSITION),
-            (od.POSITION_DEMAND_INTERNAL, od.POSITION_DEMAND),
-        ):
-            inner = drive.find(entry)
-            if inner is not None and drive.find(od.POLARITY) in (0, None):
-                shown = drive.read(other) * units.position_inc
-                most = slack * units.position_inc
-                seen, expected = f"{inner}", f"{entry} = {shown:.0f} +- {most:.0f} increments"
-                drive.expect(abs(inner - shown) <= most, f"60FFh = {velocity}", expected, seen)
-        if drive.find(od.VELOCITY_SENSOR) is not None and velocity:
-            inc_s = velocity * units.velocity * units.position_inc
-            drive.near(od.VELOCITY_SENSOR, inc_s, 0.05 * abs(inc_s), f"60FFh = {velocity}")
         drive.quiet(0.1)
         demand = drive.read(od.POSITION_DEMAND)
         rate = (demand - first) / (drive.now_ns - first_ns) * 1e9
@@ -258,6 +245,41 @@ def buffer_of_set_points(bench: DriveBench) -> None:
         drive.expect(not word & od.BIT_12, what, "bit 12 = 0 in the end", f"{word:04X}h")
         drive.offer(start)
         drive.await_target(start, 2.0 * way / pace.speed + 4.0 * pace.ramp_s + 1.0, "back")
+
+
+@drive_clause("VAL-03", Level.L1, source="CiA 402-2, 6063h, 6069h, 60FCh: internal units")
+def internal_values(bench: DriveBench) -> None:
+    """6063h and 60FCh are 6064h and 6062h in increments; 6069h is 606Ch in inc/s."""
+    drive = bench.drive
+    drive.require_mode(Mode.PV)
+    pairs = [
+        (one, other)
+        for one, other in (
+            (od.POSITION_INTERNAL, od.POSITION),
+            (od.POSITION_DEMAND_INTERNAL, od.POSITION_DEMAND),
+            (od.VELOCITY_SENSOR, od.VELOCITY),
+        )
+        if drive.find(one) is not None
+    ]
+    if not pairs or drive.find(od.POLARITY):
+        raise NotApplicable(
+            "the drive has none of 6063h, 6069h and 60FCh, or inverts them by 607Eh"
+        )
+    pace, units = drive.pace(), drive.units()
+    drive.write(od.TARGET_VELOCITY, 0)
+    drive.enable(Mode.PV)
+    for velocity in (0, pace.velocity, -pace.velocity):
+        drive.write(od.TARGET_VELOCITY, velocity)
+        drive.quiet(2.5 * pace.ramp_s + 0.2)
+        for entry, other in pairs:
+            is_speed = entry is od.VELOCITY_SENSOR
+            per_unit = units.position_inc * (units.velocity if is_speed else 1.0)
+            slack = drive.window() + 2.0 * pace.sample_s * abs(velocity) * units.velocity
+            wanted = drive.read(other) * per_unit
+            most = 0.05 * abs(wanted) + 500 if is_speed else slack * per_unit
+            drive.near(
+                entry, wanted, most, f"{other} at 60FFh = {velocity}", "another unit or sign"
+            )
 
 
 @drive_clause("VAL-02", Level.L1, source="CiA 402-2, DC link circuit voltage 6079h [mV]")

@@ -38,6 +38,11 @@ class Run:
     result: str
     hits: dict[str, int]
 
+    @property
+    def is_able(self) -> bool:
+        """False if it checks nothing: a clause for drives that is not applicable."""
+        return not benches.is_of_drive(self.bench) or self.result != "not applicable"
+
 
 @dataclass(frozen=True, slots=True)
 class Execution:
@@ -64,7 +69,7 @@ class Execution:
         Every clause comes once before any comes for the second time, on another bench.
         """
         bit = 1 << mutant.statement if mutant.is_in_function else -1
-        able = [one for one in self.runs if one.hits.get(mutant.file, 0) & bit]
+        able = [one for one in self.runs if one.hits.get(mutant.file, 0) & bit and one.is_able]
         able.sort(key=lambda one: one.cpu_s)
         turns: dict[str, int] = {}
         ranked = []
