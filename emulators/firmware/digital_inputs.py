@@ -125,7 +125,12 @@ class DigitalInputs:
         return seen + self._settle()
 
     def watch_index(self, on: bool) -> None:
-        """Register or unregister one user of the index pulse's edges."""
+        """Register or unregister one user of the index pulse's edges.
+
+        Pulses passed before the first user are not its edges.
+        """
+        if on and self._index_users == 0:
+            self._count = self._axis.count()
         self._index_users += 1 if on else -1
         self._set_gate()
 

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self, final
+from typing import TYPE_CHECKING, Any, Protocol, Self, final
 
 from motorhil.harness.conformance.bench import Ability
+from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.drives.client import Client
 from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.conformance.rig_bench import TimeIsUp
@@ -25,10 +26,23 @@ class DriveBench(Protocol):
     Attributes:
         drive: the drive under test, which answers SDO requests.
         is_real: True if the drive exists: clauses then make no jumps.
+        facts: the rig's table `conformance`.
+        stated: the table of the drive in the rig.
     """
 
     drive: Drive
     is_real: bool
+    facts: Facts
+    stated: Mapping[str, Any]
+
+    def stimulate(self, name: str, value: float) -> None:
+        """Set a physical input of the drive; raise NotApplicable if the bench cannot."""
+
+    def require_stated(self, table: str, *keys: str) -> None:
+        """Raise NotApplicable unless the rig states these keys of a table of the drive."""
+
+    def true_position_rad(self) -> float:
+        """Return the position of the output; raise NotApplicable if the bench does not know it."""
 
     def fail(self) -> int | None:
         """Cause a short fault in the drive; return its error code, or None if it cannot."""
@@ -41,9 +55,24 @@ class _Bench:
     abilities: Sequence[Ability] = ()
     motors: "Sequence[Motor]" = ()
 
-    def __init__(self, description: RigDescription, seed: int) -> None:
+    def __init__(self, description: RigDescription, controller: str, seed: int) -> None:
         self.facts: Facts = description.conformance
         self.seed = seed
+        self.stated: Mapping[str, Any] = description.controllers[controller].settings
+
+    def stimulate(self, name: str, value: float) -> None:
+        """Raise NotApplicable: the inputs of a real drive are out of reach."""
+        raise NotApplicable(f"the bench cannot set the input {name} of the drive")
+
+    def require_stated(self, table: str, *keys: str) -> None:
+        """Raise NotApplicable unless the rig states these keys of a table of the drive."""
+        for key in keys:
+            if key not in self.stated.get(table, {}):
+                raise NotApplicable(f"the rig does not state {table}.{key} of the drive")
+
+    def true_position_rad(self) -> float:
+        """Raise NotApplicable: only the drive knows where its motor is."""
+        raise NotApplicable("the bench cannot see the true position of the motor")
 
     def _meet(self, cleanup: ExitStack, client: Client, controller: ControllerDescription) -> Drive:
         cleanup.callback(client.close)
@@ -75,7 +104,7 @@ class EmulatedBench(_Bench):
         record: Path | None = None,
         limit_s: float = 300.0,
     ) -> None:
-        super().__init__(description, seed)
+        super().__init__(description, controller, seed)
         self._limit_s = limit_s
         self._name = controller
         described = description.controllers[controller]
@@ -95,6 +124,17 @@ class EmulatedBench(_Bench):
 
     def __exit__(self, *_: object) -> None:
         self._cleanup.close()
+
+    def stimulate(self, name: str, value: float) -> None:
+        """Set a physical input of the drive."""
+        try:
+            self._rig.controllers[self._name].stimulate(name, value)
+        except ValueError as error:
+            raise NotApplicable(f"{error}") from None
+
+    def true_position_rad(self) -> float:
+        """Return the true position of the output [rad]."""
+        return self._rig.controllers[self._name].snapshot()["position_rad"]
 
     def fail(self) -> int | None:
         """Cause the fault that the rig's `[conformance]` table states."""
@@ -141,7 +181,7 @@ class RealBench(_Bench):
         from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
         from motorhil.traces.mcap.writer import TraceWriter
 
-        super().__init__(description, seed)
+        super().__init__(description, controller, seed)
         described = description.controllers[controller]
         with ExitStack() as cleanup:
             bus = bus_at(described.bus, where)

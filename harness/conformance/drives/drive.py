@@ -213,6 +213,15 @@ class Drive:
         if not holds:
             raise self.violated(what, expected, seen, cause)
 
+    def near(
+        self, entry: Entry, wanted: float, tolerance: float, what: str, cause: str = ""
+    ) -> int:
+        """Expect a value of an object within a tolerance; return it."""
+        value = self.read(entry)
+        expected = f"{entry} = {wanted:.0f} +- {tolerance:.0f}"
+        self.expect(abs(value - wanted) <= tolerance, what, expected, f"{value}", cause)
+        return value
+
     # --- states -------------------------------------------------------------------------------
 
     def statusword(self) -> int:
@@ -263,7 +272,7 @@ class Drive:
 
     def has_mode(self, mode: Mode) -> bool:
         """Return whether 6502h names the mode."""
-        return bool(self.read(od.SUPPORTED_MODES) >> (mode - 1) & 1)
+        return bool((self.find(od.SUPPORTED_MODES) or 0) >> (mode - 1) & 1)
 
     def require_mode(self, mode: Mode) -> None:
         """Raise NotApplicable if the drive does not claim the mode."""
@@ -299,6 +308,17 @@ class Drive:
         if self._units is None:
             self._units = units_of(self.find, self._stated_units)
         return self._units
+
+    def turn(self) -> float:
+        """Return the position units of one turn of the motor.
+
+        Raises:
+            NotApplicable: 608Fh does not state the encoder.
+        """
+        increments = self.find(od.ENCODER_INCREMENTS) or 0
+        if increments <= 1:
+            raise NotApplicable("608Fh does not state the increments of the encoder")
+        return increments / self.units().position_inc
 
     def pace(self) -> Pace:
         """Set ramps and speed to what the drive states itself at power-on, and return them.
@@ -424,6 +444,10 @@ class Drive:
             if ends(samples[-1]):
                 break
         return samples
+
+    def watch_to(self, entry: Entry, value: int, within_s: float, *, sign: int = 1) -> list[Sample]:
+        """Sample an object until it reaches a value, from below or (sign = -1) from above."""
+        return self.watch(entry, lambda one: sign * (one.value - value) >= 0, within_s)
 
     def braked(self, from_velocity: int, within_s: float, what: str) -> float | None:
         """Watch the motor come to rest; return its deceleration [acceleration units].

@@ -20,7 +20,11 @@ _MODULES: Final = (
     "supervision",
     "stopping",
     "homing",
+    "inputs",
+    "torque",
+    "factors",
     "process_data",
+    "cyclic",
     "errors",
 )
 """The modules of `motorhil.harness.conformance.drives.clauses`, one for each topic."""

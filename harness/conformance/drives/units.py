@@ -34,10 +34,12 @@ class Units:
     """Ratios of a drive's units.
 
     Attributes:
+        position_inc: increments of the encoder of one position unit.
         velocity: position units per second of one velocity unit.
         acceleration: velocity units per second of one acceleration unit.
     """
 
+    position_inc: float
     velocity: float
     acceleration: float
 
@@ -75,7 +77,7 @@ def units_of(read: Reader, stated: Mapping[str, float]) -> Units:
         position = increments * gear / feed if increments and feed else 1.0
     velocity = stated.get("velocity_unit_inc_s") or rate(0x608C, 0x6096)
     acceleration = stated.get("acceleration_unit_inc_s2") or rate(0x608E, 0x6097)
-    return Units(velocity / position, acceleration / velocity)
+    return Units(position, velocity / position, acceleration / velocity)
 
 
 def _ratio(read: Reader, index: int) -> float | None:

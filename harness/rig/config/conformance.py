@@ -17,6 +17,7 @@ from motorhil.settings import (
     Number,
     SettingError,
     Text,
+    flag,
     number,
     setting,
     table,
@@ -108,6 +109,9 @@ class ConformanceTable:
     seeking_method: int | None = whole(
         None, -128, 127, "", "Homing method that runs until it is ended; absent: none is known."
     )
+    home_offset_is_opposite: bool = flag(
+        False, "At home the drive's position is +607Ch (as with KEB's F6), not -607Ch."
+    )
     claims: tuple[str, ...] = setting(
         (),
         Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
@@ -158,6 +162,7 @@ class Facts:
         fault_value: the value of the stimulus; None: the code.
         fault_over_value: its value a moment later; None: not needed, the cause is gone by then.
         seeking_method: a homing method that runs until it is ended; None: none is known.
+        home_offset_is_opposite: True if home is at +607Ch, against CiA 402-2.
         claims: the capabilities claimed by the rig.
         claimed_at: where the rig claims them, "file:line".
         without: the capabilities that are not claimed, and why.
@@ -179,6 +184,7 @@ class Facts:
     fault_value: float | None = None
     fault_over_value: float | None = None
     seeking_method: int | None = None
+    home_offset_is_opposite: bool = False
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -223,6 +229,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         fault_value=own.fault_value,
         fault_over_value=own.fault_over_value,
         seeking_method=own.seeking_method,
+        home_offset_is_opposite=own.home_offset_is_opposite,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=MappingProxyType({_BY_KEY[name]: why for name, why in own.without.items()}),

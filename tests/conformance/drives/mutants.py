@@ -9,24 +9,33 @@ from dataclasses import dataclass, replace
 
 from motorhil.emulators.canopen import sdo_server
 from motorhil.emulators.canopen.codes import AbortCode
-from motorhil.emulators.canopen.emcy import EmcyProducer
+from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
 from motorhil.emulators.canopen.error_control import HeartbeatConsumer, HeartbeatProducer
 from motorhil.emulators.canopen.files import parameter_storage
 from motorhil.emulators.canopen.node import CanopenNode
 from motorhil.emulators.canopen.pdo import Rpdo
 from motorhil.emulators.canopen.pdo_parameters import PdoParameters
-from motorhil.emulators.cia402 import power_drive, state_machine
-from motorhil.emulators.cia402.modes import cyclic
+from motorhil.emulators.cia402 import limit_switches, power_drive, state_machine, touch_probe
+from motorhil.emulators.cia402.drive import Readings
+from motorhil.emulators.cia402.faults import Standing
+from motorhil.emulators.cia402.modes import cyclic, homing
+from motorhil.emulators.cia402.modes.interpolated_position import InterpolatedPosition
 from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
-from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileVelocity
+from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorque, ProfileVelocity
 from motorhil.emulators.cia402.objects import mode_objects, units
-from motorhil.emulators.cia402.objects.mode_objects import HomingObjects
+from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
 from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
+from motorhil.emulators.cia402.objects.servo import ServoObjects
+from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
 from motorhil.emulators.firmware import flags
+from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
+from tests.conformance.drives.rigs import DRIVES
 
 _S, _C = PdsState, Command
+SWITCHES = DRIVES["switches"]
 
 
 @dataclass(frozen=True)
@@ -104,6 +113,11 @@ def wrong_length_is_a_wrong_value(patch):
 def csp_is_claimed_falsely(patch):
     """6502h claims csp, but 6061h never shows it."""
     _wrap(patch, PowerDrive, "_select", lambda good: lambda s, mode: mode == 8 or good(s, mode))
+
+
+@mutant("OD-07", 'quirks = ["halt_holds_mode"]')
+def halt_holds_the_mode(patch):
+    """6060h is ignored while bit 8 of 6040h is 1."""
 
 
 @mutant("OD-06")
@@ -612,3 +626,461 @@ def csp_does_not_tell_that_it_follows(patch):
 def csv_target_acts_at_once(patch):
     """In csv, 60FFh by a synchronous RPDO does not wait for SYNC."""
     _types(patch, lambda kind: 255, True)
+
+
+# --- inputs
+
+
+@mutant("DIN-01")
+def home_switch_is_bit_3(patch):
+    """60FDh shows the home switch in bit 3."""
+    _wrap(
+        patch, DigitalInputs, "_bits_now", lambda good: lambda s: good(s) & ~4 | (good(s) & 4) << 1
+    )
+
+
+@mutant("LSW-01")
+def limit_switch_is_ignored(patch):
+    """A limit switch has no effect on the motion."""
+    _always(patch, Axis, "bar", None)
+
+
+@mutant("LSW-02")
+def software_limits_hold_in_pp_alone(patch):
+    """607Dh has no effect in pv."""
+    patch.setattr(limit_switches, "_FENCED_MODES", ())
+
+
+@mutant("TP-01")
+def falling_edges_are_rising_ones(patch):
+    """Touch probes latch falling edges at rising ones."""
+    _wrap(
+        patch,
+        touch_probe.Latch,
+        "__init__",
+        lambda good: lambda s, enabling, shown, rising: good(s, enabling, shown, True),
+    )
+
+
+@mutant("TP-02")
+def index_pulse_is_half_a_turn_apart(patch):
+    """The index pulse comes twice a turn."""
+
+    def make(good):
+        return lambda s, axis, switches, index, turn: good(s, axis, switches, index, turn * 3 // 4)
+
+    _wrap(patch, DigitalInputs, "__init__", make)
+
+
+@mutant("TP-03")
+def probe_sources_are_swapped(patch):
+    """60D0h = 1 is the input of touch probe 2."""
+    patch.setitem(touch_probe._SOURCES, 1, TOUCH_PROBE_2)
+
+
+@mutant("TP-04", SWITCHES)
+def probe_latches_a_tick_late(patch):
+    """A touch probe latches the position of the tick after the edge."""
+
+    def make(good):
+        def look(self):
+            edges = good(self)
+            for edge in edges:
+                edge.count = self._axis.count()
+            return edges
+
+        return look
+
+    _wrap(patch, DigitalInputs, "look", make)
+
+
+# --- homing by switches
+
+
+def _method(patch, number, **changes):
+    row = mode_objects.HOMING_METHODS[number]
+    names = ("switch", "direction", "before", "search", "turns", "index")
+    values = {name: getattr(row, name) for name in names} | changes
+    patch.setitem(mode_objects.HOMING_METHODS, number, mode_objects.HomingMethod(**values))
+
+
+@mutant("HOME-03", SWITCHES)
+def method_17_takes_the_other_edge(patch):
+    """Method 17 passes the edge of the limit switch towards it."""
+    _method(patch, 17, direction=-1, before=False)
+
+
+@mutant("HOME-04", SWITCHES)
+def method_25_is_26(patch):
+    """Method 25 takes the left edge."""
+    _method(patch, 25, direction=1)
+
+
+@mutant("HOME-05", SWITCHES)
+def method_8_needs_no_index(patch):
+    """Method 8 ends at the edge of the switch."""
+    _method(patch, 8, index=False)
+
+
+@mutant("HOME-06")
+def method_33_goes_right(patch):
+    """Method 33 takes the index pulse in positive direction."""
+    _method(patch, 33, direction=1)
+
+
+@mutant("HOME-07")
+def search_is_at_zero_speed(patch):
+    """The search runs at 6099h:2."""
+    patch.setattr(HomingObjects, "switch_speed_inc_s", HomingObjects.zero_speed_inc_s)
+
+
+@mutant("HOME-08")
+def limit_switch_is_no_homing_error(patch):
+    """A homing that meets a limit switch stays in progress."""
+    _always(patch, homing.Homing, "_meet_limit", None)
+
+
+@mutant("HOME-09")
+def home_survives_a_reset(patch):
+    """Bit 12 stays 1 after a reset of the node."""
+    _always(patch, homing.Homing, "forget", None)
+
+
+# --- torque
+
+
+@mutant("TQ-01")
+def torque_slope_is_ignored(patch):
+    """6087h has no effect."""
+    _always(patch, TorqueObjects, "slope_a_s", 1e9)
+
+
+@mutant("TQ-02")
+def motor_speed_limit_is_ignored(patch):
+    """6080h has no effect in tq."""
+    _always(patch, MotionObjects, "torque_speed_max_inc_s", 1e300)
+
+
+@mutant("TQ-03")
+def halt_is_ignored_in_tq(patch):
+    """Halt has no effect in tq."""
+    _always(patch, ProfileTorque, "obey", None)
+
+
+@mutant("TQ-04")
+def torque_limits_are_swapped(patch):
+    """60E0h limits negative torques, and 60E1h positive ones."""
+    _wrap(patch, TorqueObjects, "limits_a", lambda good: lambda s: good(s)[::-1])
+
+
+@mutant("TQ-05")
+def current_has_no_sign(patch):
+    """6078h is never negative."""
+    _wrap(patch, TorqueObjects, "current_raw", lambda good: lambda s, value: abs(good(s, value)))
+
+
+@mutant("PV-08")
+def slippage_is_ignored(patch):
+    """60F8h has no effect."""
+    _always(patch, MotionObjects, "slippage_inc_s", 0.0)
+
+
+@mutant("PV-10")
+def windows_are_never_applied(patch):
+    """Windows and thresholds that are written have no effect."""
+    _always(patch, ServoObjects, "apply_windows", None)
+
+
+@mutant("PV-09")
+def acceleration_limit_is_ignored(patch):
+    """60C5h has no effect."""
+    _wrap(
+        patch,
+        MotionObjects,
+        "acceleration_inc_s2",
+        lambda good: (
+            lambda s: s._acceleration.integer() * s._factors.units.acceleration_unit_inc_s2
+        ),
+    )
+
+
+# --- factors
+
+
+@mutant("VAL-01")
+def velocity_demand_is_not_shown(patch):
+    """606Bh is 0."""
+    _always(patch, Readings, "velocity_demand", 0)
+
+
+@mutant("CSP-02")
+def following_error_has_the_other_sign(patch):
+    """60F4h is 6064h - 6062h."""
+    _wrap(patch, units.Units, "length_raw", lambda good: lambda s, value: -good(s, value))
+
+
+@mutant("VAL-03", DRIVES["more objects"])
+def velocity_sensor_is_in_rpm(patch):
+    """6069h is in rpm."""
+    _wrap(patch, Readings, "velocity_sensor", lambda good: lambda s: good(s) * 60 // 2000)
+
+
+@mutant("VAL-02", DRIVES["more objects"])
+def dc_link_voltage_is_in_volts(patch):
+    """6079h is in V."""
+    _wrap(patch, Readings, "supply", lambda good: lambda s: good(s) // 1000)
+
+
+@mutant("FAC-01")
+def velocity_factor_is_ignored(patch):
+    """6096h has no effect."""
+
+    def make(good):
+        return lambda od, plant, position, dimension, factor: good(
+            od, plant, position, dimension, 0x5FFF if factor == 0x6096 else factor
+        )
+
+    _wrap(patch, units, "_rate_unit", make)
+
+
+@mutant("RNG-01")
+def directions_are_swapped(patch):
+    """60F2h = 40h moves in positive direction."""
+    _wrap(patch, MotionObjects, "way_round", lambda good: lambda s: (0, 2, 1, 3)[good(s)])
+
+
+@mutant("PP-08")
+def relative_moves_count_from_the_target(patch):
+    """60F2h bits 0 and 1 have no effect."""
+    _always(patch, MotionObjects, "relative_to", 0)
+
+
+@mutant("PP-09")
+def end_velocity_is_ignored(patch):
+    """6082h has no effect."""
+    _always(patch, MotionObjects, "end_velocity_inc_s", 0.0)
+
+
+@mutant("PP-10")
+def third_set_point_replaces_the_second(patch):
+    """A third set-point is taken although one waits."""
+
+    def make(good):
+        def take(self, word, now_ns):
+            self._waiting = None
+            good(self, word, now_ns)
+
+        return take
+
+    _wrap(patch, ProfilePosition, "_take", make)
+
+
+# --- cyclic modes
+
+
+@mutant("CSP-02")
+def position_offset_is_ignored(patch):
+    """60B0h has no effect."""
+    _always(patch, OffsetObjects, "position_inc", 0)
+
+
+@mutant("CSP-03")
+def software_limits_are_ignored_in_csp(patch):
+    """607Dh has no effect in csp."""
+    _wrap(patch, MotionObjects, "within_limits_inc", lambda good: lambda s, position: position)
+
+
+@mutant("CSP-04")
+def halt_is_ignored_in_csp(patch):
+    """Halt has no effect in csp."""
+    _always(patch, cyclic.CyclicMode, "obey", None)
+
+
+@mutant("CSP-05")
+def velocity_limit_is_ignored_in_csp(patch):
+    """607Fh has no effect in csp."""
+
+    def make(good):
+        return lambda s, position, over, fed=0.0, has_target=False, speed_max_inc_s=0.0: good(
+            s, position, over, fed, has_target
+        )
+
+    _wrap(patch, Axis, "follow", make)
+
+
+@mutant("CSP-06")
+def interpolation_period_is_in_ms_always(patch):
+    """60C2h:2 has no effect."""
+    _wrap(
+        patch,
+        MotionObjects,
+        "interpolation_ns",
+        lambda good: lambda s: s._period.integer() * 1_000_000,
+    )
+
+
+@mutant("CSV-02")
+def velocity_offset_is_ignored(patch):
+    """60B1h has no effect."""
+    _always(patch, OffsetObjects, "velocity_inc_s", 0.0)
+
+
+@mutant("CST-01")
+def torque_offset_is_subtracted(patch):
+    """60B2h is subtracted from 6071h."""
+    _wrap(patch, OffsetObjects, "current_a", lambda good: lambda s: -good(s))
+
+
+@mutant("CYC-01", DRIVES["sync supervision"])
+def lost_sync_is_noticed_late(patch):
+    """Lost SYNC is a fault after twice the stated time."""
+
+    def make(good):
+        def init(self, *args):
+            good(self, *args)
+            self._patience *= 2
+
+        return init
+
+    _wrap(patch, cyclic.CyclicMode, "__init__", make)
+
+
+@mutant("CYC-02")
+def motor_runs_on_without_sync(patch):
+    """In csp the motor keeps its speed without SYNC."""
+
+    def make(good):
+        def follow(self, position_inc, over_ns, *args, **kwargs):
+            way = position_inc - self.demand_inc()
+            return good(self, position_inc + 200 * way, 201 * over_ns, *args)
+
+        return follow
+
+    _wrap(patch, Axis, "follow", make)
+
+
+@mutant("IP-01")
+def records_are_taken_last_first(patch):
+    """The newest record is taken first."""
+    _wrap(patch, IpObjects, "take_inc", lambda good: lambda s: s._records.reverse() or good(s))
+
+
+@mutant("IP-02")
+def halt_is_ignored_in_ip(patch):
+    """Bit 8 has no effect in ip."""
+    _wrap(
+        patch,
+        InterpolatedPosition,
+        "obey",
+        lambda good: lambda s, word, rising, now: good(s, word & ~0x100, rising, now),
+    )
+
+
+@mutant("IP-03")
+def buffer_is_never_full(patch):
+    """60C4h:2 has no effect."""
+    _always(patch, IpObjects, "_room", 64)
+
+
+# --- faults of the hardware
+
+
+@mutant("ERR-03")
+def fault_with_its_cause_is_reset(patch):
+    """A fault is reset although its cause is present."""
+    _always(patch, Standing, "lets_reset", True)
+
+
+@mutant("ERR-04")
+def warning_is_never_set(patch):
+    """Bit 7 of 6041h is always 0."""
+    _always(patch, Standing, "warn", None)
+
+
+@mutant("ERR-05")
+def home_survives_a_lost_encoder(patch):
+    """Bit 12 stays 1 after the encoder was lost."""
+    _always(patch, PowerDrive, "lose_reference", None)
+
+
+@mutant("ERR-06")
+def lost_supply_is_no_fault(patch):
+    """A drive without its supply stays enabled."""
+    _wrap(patch, PowerDrive, "set_voltage", lambda good: lambda s, present, now: None)
+
+
+@mutant("ERR-07")
+def safe_torque_off_does_not_hold(patch):
+    """Transition 2 is taken although safe torque off is on."""
+    _wrap(
+        patch,
+        PowerDrive,
+        "_is_earned",
+        lambda good: lambda s, transition, now: transition == 2 or good(s, transition, now),
+    )
+
+
+@mutant("ERR-08")
+def passive_node_is_silent(patch):
+    """A passive node sends no EMCY."""
+    _always(patch, CanWatch, "find", None)
+
+
+@mutant("ERR-09")
+def short_circuit_waits_for_the_brake(patch):
+    """A short circuit does not end the fault reaction."""
+    patch.setattr(power_drive, "is_at_once", lambda code: False)
+
+
+@mutant("NMT-05")
+def stopped_node_moves_on(patch):
+    """NMT stop and reset communication have no effect on the motion."""
+    _always(patch, PowerDrive, "abort_connection", None)
+
+
+@mutant("STOP-09")
+def halt_option_3_is_a_ramp(patch):
+    """605Dh = 3 and 4 have the effect of 1."""
+
+    def make(good):
+        def halt(self, *args, **kwargs):
+            own, self._halt = self._halt, _Code(1)
+            try:
+                return good(self, *args, **kwargs)
+            finally:
+                self._halt = own
+
+        return halt
+
+    _wrap(patch, OptionCodes, "halt", make)
+
+
+@mutant("STOP-10")
+def fault_option_3_is_a_ramp(patch):
+    """605Eh = 3 and 4 have the effect of 2."""
+
+    def make(good):
+        def react(self, axis):
+            own, self._fault_reaction = self._fault_reaction, _Code(2)
+            try:
+                return good(self, axis)
+            finally:
+                self._fault_reaction = own
+
+        return react
+
+    _wrap(patch, OptionCodes, "react", make)
+
+
+@mutant("STOP-11")
+def disabling_is_not_taken_back(patch):
+    """Enable operation has no effect while the drive slows down to be disabled."""
+
+    def make(good):
+        def write(self, word, now_ns):
+            if self._at_rest not in (5, 8):
+                good(self, word, now_ns)
+
+        return write
+
+    _wrap(patch, PowerDrive, "_write_controlword", make)

@@ -5,7 +5,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from motorhil.emulators.cia402.settings import CATALOGUE
 from motorhil.harness.cli.main import main
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.drives.kit import drive_clauses
@@ -15,32 +14,7 @@ from motorhil.harness.conformance.target import Job
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.version import cores_are_compiled
 from tests.conformance.drives.mutants import MUTANTS
-
-RIG = """\
-[rig]
-name = "a drive"
-seed = 1
-[bus.can0]
-bitrate_bit_s = 1_000_000
-[controller.drive]
-kind = "cia402"
-bus = "can0"
-node_id = 5
-plant = {{ preset = "wheel_60w" }}
-{keys}
-"""
-DEVIATIONS = {
-    "inverted_set_point_acknowledge",
-    "single_set_point_only",
-    "edge_only_bits",
-    "stale_target_reached",
-    "halt_holds_mode",
-    "stray_emcy",
-    "misplaced_error_register",
-}
-"""Quirks that break a promise of the standards; all others are legal behaviour."""
-LEGAL = [quirk.name for quirk in CATALOGUE if quirk.name not in DEVIATIONS]
-
+from tests.conformance.drives.rigs import DEVIATIONS, DRIVES, LEGAL, target, text_of
 
 SPEED = 'objects = { "6081h" = 40000, "6083h" = 400000 }'
 RPM = "units = { velocity_unit_inc_s = 33.3333, acceleration_unit_inc_s2 = 33.3333 }"
@@ -55,12 +29,6 @@ VENDORS = {
 """Vendors' files, with the speeds and units that they do not state."""
 
 
-def target(tmp_path, keys):
-    rig = tmp_path / "rig.toml"
-    rig.write_text(RIG.format(keys=keys))
-    return DriveTarget(Job(rig=str(rig), controller="drive"))
-
-
 def verdict(target, name):
     return run_clause(drive_clauses()[name], target.opener())
 
@@ -70,28 +38,71 @@ def accusations(target):
     return [one for one in verdicts if one.result not in (Result.PASSED, Result.NOT_APPLICABLE)]
 
 
+NEEDS_STATEMENTS = {"HOME-03", "HOME-04", "HOME-05", "TP-04", "CYC-01", "VAL-02"}
+"""Clauses about switches, monitoring and objects that the kit's own drive does not have."""
+
+
 def test_built_in_drive_keeps_every_clause():
     target = DriveTarget(Job(controller="drive"))
     verdicts = [verdict(target, name) for name in drive_clauses()]
-    assert [one for one in verdicts if one.result is not Result.PASSED] == []
+    assert [
+        one
+        for one in verdicts
+        if (one.result is not Result.PASSED) != (one.clause in NEEDS_STATEMENTS)
+        or one.result not in (Result.PASSED, Result.NOT_APPLICABLE)
+    ] == []
 
 
-def test_drive_with_all_legal_quirks_is_not_accused(tmp_path):
-    assert accusations(target(tmp_path, f"quirks = {LEGAL}")) == []
+@pytest.mark.parametrize(("drive", "names"), [("switches", ("HOME-03", "HOME-04", "TP-04"))])
+def test_stated_switches_make_their_clauses_apply(drive, names):
+    found = target(DRIVES[drive])
+    assert [verdict(found, name).result for name in names] == [Result.PASSED] * len(names)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("drive", [name for name in DRIVES if not name.startswith("quirk ")])
+def test_correct_drive_is_not_accused(drive):
+    assert accusations(target(DRIVES[drive])) == []
+
+
+@pytest.mark.parametrize("quirk", DEVIATIONS)
+def test_deviating_drive_has_its_finding(quirk):
+    seen = verdict(target(DRIVES[f"quirk {quirk}"]), DEVIATIONS[quirk])
+    assert seen.result is Result.FAILED, seen
+
+
+@pytest.mark.parametrize(("keys", "wanted"), [("true", Result.PASSED), ("false", Result.FAILED)])
+def test_home_offset_has_the_declared_sign(monkeypatch, keys, wanted):
+    MUTANTS["home_offset_has_the_other_sign"].plant(monkeypatch)
+    found = target(f"[conformance]\nhome_offset_is_opposite = {keys}")
+    seen = verdict(found, "HOME-01")
+    assert seen.result is wanted, seen
+    assert wanted is Result.PASSED or "as KEB's F6 has; home_offset_is_opposite" in seen.seen
+
+
+def test_home_offset_of_the_standard_contradicts_a_declaration():
+    found = target("[conformance]\nhome_offset_is_opposite = true")
+    seen = verdict(found, "HOME-01")
+    assert seen.result is Result.FAILED
+    assert "that of CiA 402-2; home_offset_is_opposite = false" in seen.seen
+
+
+def test_drive_with_all_legal_quirks_is_not_accused():
+    assert accusations(target(f"quirks = {LEGAL}")) == []
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("quirk", LEGAL)
-def test_drive_with_a_legal_quirk_is_not_accused(tmp_path, quirk):
-    assert accusations(target(tmp_path, f'quirks = ["{quirk}"]')) == []
+def test_drive_with_a_legal_quirk_is_not_accused(quirk):
+    assert accusations(target(f'quirks = ["{quirk}"]')) == []
 
 
 @pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize("name", MUTANTS)
-def test_clause_finds_its_mistake(tmp_path, monkeypatch, name):
+def test_clause_finds_its_mistake(monkeypatch, name):
     mutant = MUTANTS[name]
     mutant.plant(monkeypatch)
-    found = target(tmp_path, mutant.keys)
+    found = target(mutant.keys)
     seen = verdict(found, mutant.killer)
     assert seen.result is Result.FAILED, seen
     assert "expected" in seen.seen
@@ -104,9 +115,9 @@ def test_every_clause_has_a_mistake_that_it_finds():
 
 @pytest.mark.data
 @pytest.mark.parametrize("file", VENDORS)
-def test_drive_with_a_vendors_dictionary_is_not_accused(tmp_path, shared, file):
+def test_drive_with_a_vendors_dictionary_is_not_accused(shared, file):
     keys = f'eds = "{shared / "data" / "eds" / file}"\n{VENDORS[file]}'
-    assert accusations(target(tmp_path, keys)) == []
+    assert accusations(target(keys)) == []
 
 
 # --- the verb
@@ -114,7 +125,7 @@ def test_drive_with_a_vendors_dictionary_is_not_accused(tmp_path, shared, file):
 
 def test_finding_about_a_drive_is_in_all_results(tmp_path, capsys):
     rig = tmp_path / "rig.toml"
-    rig.write_text(RIG.format(keys='quirks = ["inverted_set_point_acknowledge"]'))
+    rig.write_text(text_of('quirks = ["inverted_set_point_acknowledge"]'))
     junit, found = tmp_path / "junit.xml", tmp_path / "found.json"
     words = ["--controller", "drive", "--rig", str(rig), "-o", str(tmp_path / "records")]
     files = ["--junit", str(junit), "--json", str(found)]

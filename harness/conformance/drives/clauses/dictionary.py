@@ -119,6 +119,19 @@ def modes_agree(bench: DriveBench) -> None:
         )
 
 
+@drive_clause("OD-07", Level.L0, source="CiA 402-2, modes of operation 6060h, 6061h; halt, bit 8")
+def mode_is_selected_during_halt(bench: DriveBench) -> None:
+    """A mode can be selected in any state, also while bit 8 of 6040h (halt) is 1."""
+    drive = bench.drive
+    drive.require(od.SUPPORTED_MODES, od.MODE, od.MODE_DISPLAY)
+    claimed = [mode for mode in Mode if drive.has_mode(mode)]
+    if len(claimed) < 2:
+        raise NotApplicable("6502h claims one mode only")
+    drive.command(od.SHUTDOWN | od.HALT)
+    for mode in (*claimed[:2], claimed[0]):
+        drive.select(mode)
+
+
 @drive_clause("OD-06", Level.L1, source="CiA 301, 7.5.2.13 and 7.5.2.14, 1010h and 1011h")
 def parameters_are_stored(bench: DriveBench) -> None:
     """1010h stores with the signature "save" only; 1011h restores defaults at the next reset."""

@@ -5,7 +5,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.drive import BOOT_S, Drive
+from motorhil.harness.conformance.drives.drive import BOOT_S, STATE_S, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Mode, State
 
@@ -126,9 +126,11 @@ def host_lost(bench: DriveBench) -> None:
     for option, state in (
         (1, State.FAULT),
         (2, State.SWITCH_ON_DISABLED),
+        (3, State.SWITCH_ON_DISABLED),
         (0, State.OPERATION_ENABLED),
     ):
-        drive.set(od.ABORT_CONNECTION, option)
+        if drive.offer_value(od.ABORT_CONNECTION, option):
+            continue
         drive.enable(mode)
         drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
         drive.client.send(0x700 + _HOST, b"\x05")
@@ -144,3 +146,28 @@ def host_lost(bench: DriveBench) -> None:
         drive.await_emergency(0x8130, begin_ns, f"{what} lost after {_CONSUMER_MS} ms")
         drive.await_state(state, f"{what} lost", "reaction of 6007h")
         drive.write(od.HEARTBEAT_CONSUMER, 0)
+
+
+@drive_clause("NMT-05", Level.L5, source="CiA 402-2, 6007h: NMT stopped is a lost connection")
+def stopped_node(bench: DriveBench) -> None:
+    """NMT stop and reset communication while moving cause the reaction of 6007h, as a lost host."""
+    drive = bench.drive
+    drive.require(od.ABORT_CONNECTION)
+    pace = drive.pace()
+    for command in (STOP, RESET_COMMUNICATION):
+        for option, state in ((1, State.FAULT), (2, State.SWITCH_ON_DISABLED), (0, None)):
+            if drive.offer_value(od.ABORT_CONNECTION, option):
+                continue
+            drive.client.node.nmt.send_command(START)
+            drive.cruise(pace)
+            drive.client.node.nmt.send_command(command)
+            drive.quiet(3.0 * pace.ramp_s)
+            drive.client.node.nmt.send_command(START)
+            drive.boot()
+            what = f"NMT {command:02X}h, 6007h = {option}"
+            wanted = state or State.OPERATION_ENABLED
+            drive.await_state(wanted, what, "reaction of 6007h", 2.0 * STATE_S)
+            drive.ramps(pace.acceleration)
+            if state is None and drive.has_mode(Mode.PV):
+                drive.near(od.VELOCITY, pace.velocity, pace.velocity // 10, what, "it stops")
+                drive.write(od.TARGET_VELOCITY, 0)

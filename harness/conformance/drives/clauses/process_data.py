@@ -1,4 +1,4 @@
-"""Process data: PDOs and SYNC, inhibit time, event timer, wrong lengths; csp and csv."""
+"""Process data: PDOs and SYNC, inhibit time, event timer, wrong lengths."""
 
 import struct
 from collections.abc import Sequence
@@ -12,19 +12,19 @@ from motorhil.harness.conformance.drives.clauses.network import START
 from motorhil.harness.conformance.drives.client import SYNC, Frame
 from motorhil.harness.conformance.drives.drive import QUIET_S, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Entry, Mode, State
+from motorhil.harness.conformance.drives.objects import Entry, State
 
 _TYPES: Final = "CiA 301, 7.5.2.35 and 7.5.2.37, PDO transmission types"
 _INVALID: Final = 0x8000_0000
 _INHIBIT_MS: Final = 50
 _TIMER_MS: Final = 40
-_SYNC_S: Final = 0.01
+SYNC_S: Final = 0.01
 _JITTER_MS: Final = 1.0
 _BITS: Final = {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32}
 _FSA_WORDS: Final = (od.SHUTDOWN, od.SWITCH_ON, od.SHUTDOWN, od.DISABLE_VOLTAGE)
 
 
-def _configure(
+def configure(
     drive: Drive,
     first: int,
     entries: Sequence[Entry],
@@ -58,7 +58,7 @@ def _configure(
     return identifier
 
 
-def _quiet_other_pdos(drive: Drive, kept: int) -> None:
+def quiet_other_pdos(drive: Drive, kept: int) -> None:
     """Switch the other TPDOs off."""
     for index in range(0x1800, 0x1804):
         entry = Entry(index, 1, "I", "COB-ID")
@@ -67,14 +67,16 @@ def _quiet_other_pdos(drive: Drive, kept: int) -> None:
             drive.set(entry, cob_id | _INVALID)
 
 
-def _operational(drive: Drive) -> None:
+def operational(drive: Drive) -> None:
+    """Start the node: its PDOs work from now on."""
     drive.client.node.nmt.send_command(START)
     drive.quiet(0.1)
 
 
-def _sync(drive: Drive) -> Frame:
+def sync(drive: Drive) -> Frame:
+    """Send SYNC, and wait for one period; return the frame."""
     frame = drive.client.send(SYNC)
-    drive.quiet(_SYNC_S)
+    drive.quiet(SYNC_S)
     return frame
 
 
@@ -86,8 +88,8 @@ def _word(drive: Drive, identifier: int, word: int) -> None:
 def synchronous_rpdo(bench: DriveBench) -> None:
     """The data of an RPDO of type 1 take effect at the next SYNC, not before."""
     drive = bench.drive
-    identifier = _configure(drive, 0x1400, (od.CONTROLWORD,), 1)
-    _operational(drive)
+    identifier = configure(drive, 0x1400, (od.CONTROLWORD,), 1)
+    operational(drive)
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
     _word(drive, identifier, od.SHUTDOWN)
     drive.quiet()
@@ -107,14 +109,14 @@ def synchronous_rpdo(bench: DriveBench) -> None:
 def event_driven_rpdo(bench: DriveBench) -> None:
     """The data of an RPDO of type 255 take effect at once; in pre-operational they have none."""
     drive = bench.drive
-    identifier = _configure(drive, 0x1400, (od.CONTROLWORD,), 255)
+    identifier = configure(drive, 0x1400, (od.CONTROLWORD,), 255)
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
     _word(drive, identifier, od.SHUTDOWN)
     drive.quiet()
     seen = drive.state()
     what = "RPDO in pre-operational"
     drive.expect(seen is State.SWITCH_ON_DISABLED, what, "no effect", f"{seen}", "NMT is ignored")
-    _operational(drive)
+    operational(drive)
     _word(drive, identifier, od.SHUTDOWN)
     drive.await_state(State.READY_TO_SWITCH_ON, "RPDO of type 255", "transition 2")
 
@@ -126,8 +128,8 @@ def short_rpdo(bench: DriveBench) -> None:
     entries = (od.CONTROLWORD, od.MODE)
     if drive.find(od.TARGET_POSITION) is not None:
         entries = (od.CONTROLWORD, od.TARGET_POSITION)
-    identifier = _configure(drive, 0x1400, entries, 255)
-    _operational(drive)
+    identifier = configure(drive, 0x1400, entries, 255)
+    operational(drive)
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
     begin_ns = drive.now_ns
     _word(drive, identifier, od.SHUTDOWN)
@@ -143,9 +145,9 @@ def cyclic_tpdo(bench: DriveBench) -> None:
     """A TPDO of type n is sent after every n-th SYNC, and never without one."""
     drive = bench.drive
     for kind in (1, 3):
-        identifier = _configure(drive, 0x1800, (od.STATUSWORD,), kind)
-        _quiet_other_pdos(drive, 0x1800)
-        _operational(drive)
+        identifier = configure(drive, 0x1800, (od.STATUSWORD,), kind)
+        quiet_other_pdos(drive, 0x1800)
+        operational(drive)
         begin_ns = drive.now_ns
         for word in _FSA_WORDS:
             drive.command(word)
@@ -153,10 +155,10 @@ def cyclic_tpdo(bench: DriveBench) -> None:
         early = drive.client.heard(identifier, begin_ns)
         what = f"TPDO {identifier:03X}h of type {kind}, 6041h changes without SYNC"
         drive.expect(not early, what, "no TPDO", f"{len(early)}", "sent at the event, not at SYNC")
-        _sync(drive)
+        sync(drive)
         begin_ns, syncs = drive.now_ns, 12
         for _ in range(syncs):
-            _sync(drive)
+            sync(drive)
         count = len(drive.client.heard(identifier, begin_ns))
         expected = f"{syncs // kind} TPDOs"
         what = f"TPDO {identifier:03X}h of type {kind}, {syncs} SYNCs"
@@ -168,14 +170,14 @@ def cyclic_tpdo(bench: DriveBench) -> None:
 def acyclic_tpdo(bench: DriveBench) -> None:
     """A TPDO of type 0 is sent at the first SYNC after its event, and at no other."""
     drive = bench.drive
-    identifier = _configure(drive, 0x1800, (od.STATUSWORD,), 0)
-    _quiet_other_pdos(drive, 0x1800)
-    _operational(drive)
-    _sync(drive)
-    _sync(drive)
+    identifier = configure(drive, 0x1800, (od.STATUSWORD,), 0)
+    quiet_other_pdos(drive, 0x1800)
+    operational(drive)
+    sync(drive)
+    sync(drive)
     begin_ns = drive.now_ns
     for _ in range(3):
-        _sync(drive)
+        sync(drive)
     idle = len(drive.client.heard(identifier, begin_ns))
     what = f"TPDO {identifier:03X}h of type 0, 3 SYNCs without an event"
     drive.expect(idle == 0, what, "no TPDO", f"{idle}", "type 0 is treated as type 1")
@@ -184,7 +186,7 @@ def acyclic_tpdo(bench: DriveBench) -> None:
     what = "6041h changes without SYNC"
     drive.expect(not early, what, "no TPDO", f"{len(early)}", "sent at the event")
     for _ in range(3):
-        _sync(drive)
+        sync(drive)
     count = len(drive.client.heard(identifier, begin_ns))
     drive.expect(count == 1, "3 SYNCs after a change of 6041h", "1 TPDO", f"{count}")
 
@@ -193,9 +195,9 @@ def acyclic_tpdo(bench: DriveBench) -> None:
 def event_driven_tpdo(bench: DriveBench) -> None:
     """A TPDO of type 255 is sent when its data change, but not within its inhibit time."""
     drive = bench.drive
-    identifier = _configure(drive, 0x1800, (od.STATUSWORD,), 255, inhibit=10 * _INHIBIT_MS)
-    _quiet_other_pdos(drive, 0x1800)
-    _operational(drive)
+    identifier = configure(drive, 0x1800, (od.STATUSWORD,), 255, inhibit=10 * _INHIBIT_MS)
+    quiet_other_pdos(drive, 0x1800)
+    operational(drive)
     drive.quiet(2.0 * _INHIBIT_MS / 1e3)
     begin_ns = drive.now_ns
     drive.become(State.READY_TO_SWITCH_ON, od.SHUTDOWN, "transition 2")
@@ -228,9 +230,9 @@ def event_timer(bench: DriveBench) -> None:
     """A TPDO of type 255 is sent after its event timer, with the present values."""
     drive = bench.drive
     entries = (od.STATUSWORD, od.MODE_DISPLAY)
-    identifier = _configure(drive, 0x1800, entries, 255, timer=_TIMER_MS)
-    _quiet_other_pdos(drive, 0x1800)
-    _operational(drive)
+    identifier = configure(drive, 0x1800, entries, 255, timer=_TIMER_MS)
+    quiet_other_pdos(drive, 0x1800)
+    operational(drive)
     begin_ns = drive.now_ns
     drive.quiet(10.5 * _TIMER_MS / 1e3)
     heard = drive.client.heard(identifier, begin_ns)
@@ -245,75 +247,3 @@ def event_timer(bench: DriveBench) -> None:
     seen = heard[-1].data.hex(" ")
     expected = f"{data.hex(' ')}, as read by SDO"
     drive.expect(heard[-1].data == data, "data of the TPDO", expected, seen, "wrong mapping")
-
-
-@drive_clause("CSP-01", Level.L4, source="CiA 402-2, cyclic synchronous position mode, 607Ah")
-def cyclic_position(bench: DriveBench) -> None:
-    """In csp, 607Ah by a synchronous RPDO moves the motor at SYNC; bit 12 tells that it follows."""
-    drive = bench.drive
-    drive.require_mode(Mode.CSP)
-    pace = drive.pace()
-    identifier = _configure(drive, 0x1400, (od.TARGET_POSITION,), 1)
-    start = drive.read(od.POSITION)
-    drive.write(od.TARGET_POSITION, start)
-    _operational(drive)
-    drive.enable(Mode.CSP)
-    target = float(start)
-    for _ in range(50):
-        _sync(drive)
-    word = drive.statusword()
-    drive.expect(bool(word & od.BIT_12), "6041h in csp", "bit 12 = 1 (follows)", f"{word:04X}h")
-    for _ in range(50):
-        target += 0.25 * pace.speed * _SYNC_S
-        drive.client.send(identifier, struct.pack("<i", round(target)))
-        _sync(drive)
-    drive.quiet(0.3)
-    position, tolerance = (
-        drive.read(od.POSITION),
-        max(drive.window(), round(0.02 * (target - start))),
-    )
-    what, expected = "targets by RPDO and SYNC", f"{round(target)} +- {tolerance}"
-    drive.expect(abs(position - target) <= tolerance, what, expected, f"{position}", "not followed")
-    target += 0.25 * pace.speed * _SYNC_S
-    drive.client.send(identifier, struct.pack("<i", round(target)))
-    drive.quiet(0.2)
-    moved = abs(drive.read(od.POSITION) - position)
-    step = round(0.25 * pace.speed * _SYNC_S)
-    drive.expect(
-        moved <= step // 2 + 1,
-        f"RPDO {identifier:03X}h with the next target, without SYNC",
-        "no motion in 0.2 s",
-        f"{moved} of {step}",
-        "the target takes effect before SYNC",
-    )
-
-
-@drive_clause("CSV-01", Level.L4, source="CiA 402-2, cyclic synchronous velocity mode, 60FFh")
-def cyclic_velocity(bench: DriveBench) -> None:
-    """In csv, 60FFh by a synchronous RPDO takes effect at SYNC, in both directions."""
-    drive = bench.drive
-    drive.require_mode(Mode.CSV)
-    pace = drive.pace()
-    identifier = _configure(drive, 0x1400, (od.TARGET_VELOCITY,), 1)
-    drive.write(od.TARGET_VELOCITY, 0)
-    _operational(drive)
-    drive.enable(Mode.CSV)
-    for sign in (1, -1):
-        velocity = 0
-        for step in range(1, 21):
-            velocity = sign * pace.velocity * step // 40
-            drive.client.send(identifier, struct.pack("<i", velocity))
-            _sync(drive)
-        drive.await_velocity(velocity, pace.ramp_s + 0.5)
-        drive.client.send(identifier, struct.pack("<i", 0))
-        drive.quiet(0.1)
-        seen = drive.read(od.VELOCITY)
-        drive.expect(
-            abs(seen) > abs(velocity) // 2,
-            f"RPDO {identifier:03X}h with 0, without SYNC",
-            f"606Ch = {velocity} for 0.1 s",
-            f"{seen}",
-            "the target takes effect before SYNC",
-        )
-        _sync(drive)
-        drive.await_velocity(0, 2.0 * pace.ramp_s + 0.5)

@@ -107,11 +107,7 @@ def quick_stop_limits(bench: DriveBench) -> None:
         drive.ramps(max(1, pace.acceleration // _SLOW))
         what = f"quick stop with 605Ah = {option}, ramps {_SLOW} times slower"
         drive.command(od.QUICK_STOP)
-        begin_ns = drive.now_ns
-        drive.braked(pace.velocity, 2.0 * _SLOW * pace.ramp_s + 0.5, what)
-        took_s, ramp_s = (drive.now_ns - begin_ns) / 1e9, _SLOW * pace.ramp_s
-        expected = f"rest in less than {0.9 * ramp_s:.2f} s, as a ramp takes {ramp_s:.2f} s"
-        drive.expect(took_s < 0.9 * ramp_s, what, expected, f"{took_s:.2f} s", "a ramp is used")
+        _expect_hard(drive, pace, what)
         stays = State.QUICK_STOP_ACTIVE if option > 4 else State.SWITCH_ON_DISABLED
         _at_rest(drive, pace, stays, what)
         drive.become(State.SWITCH_ON_DISABLED, od.DISABLE_VOLTAGE, "transition 12")
@@ -171,3 +167,73 @@ def fault_reaction_option(bench: DriveBench) -> None:
             drive.expect_ramp(found, ramp, what, name)
             _at_rest(drive, pace, State.FAULT, what)
         drive.write(od.HEARTBEAT_CONSUMER, 0)
+
+
+@drive_clause("STOP-09", Level.L2, source="CiA 402-2, halt option code 605Dh = 3 and 4")
+def halt_limits(bench: DriveBench) -> None:
+    """With 605Dh = 3 or 4 a halt is harder than 6084h and 6085h, and sets bit 10 at rest."""
+    drive = bench.drive
+    drive.require(od.HALT_OPTION)
+    for option in (3, 4):
+        if drive.offer_value(od.HALT_OPTION, option):
+            continue
+        drive, pace, _ = _moving(bench)
+        drive.ramps(max(1, pace.acceleration // _SLOW))
+        drive.command(od.ENABLE | od.HALT)
+        _expect_hard(drive, pace, f"halt with 605Dh = {option}")
+        halted = drive.until(lambda word: word & od.TARGET_REACHED != 0, STATE_S)
+        drive.expect(halted is not None, f"halt with 605Dh = {option}", "bit 10 = 1", "0")
+
+
+@drive_clause("STOP-10", Level.L5, source="CiA 402-2, fault reaction option code 605Eh = 3 and 4")
+def fault_reaction_limits(bench: DriveBench) -> None:
+    """With 605Eh = 3 or 4 the reaction to a lost host is harder than 6084h and 6085h."""
+    drive = bench.drive
+    drive.require(od.HEARTBEAT_CONSUMER, od.ABORT_CONNECTION, od.FAULT_OPTION)
+    for option in (3, 4):
+        if drive.offer_value(od.FAULT_OPTION, option):
+            continue
+        drive.set(od.ABORT_CONNECTION, 1)
+        drive, pace, _ = _moving(bench)
+        drive.ramps(max(1, pace.acceleration // _SLOW))
+        begin_ns = drive.now_ns
+        drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
+        drive.client.send(0x700 + _HOST, b"\x05")
+        what = f"lost heartbeat with 605Eh = {option}"
+        drive.await_emergency(0x8130, begin_ns, what)
+        _expect_hard(drive, pace, what)
+        _at_rest(drive, pace, State.FAULT, what)
+        drive.write(od.HEARTBEAT_CONSUMER, 0)
+
+
+def _expect_hard(drive: Drive, pace: Pace, what: str) -> None:
+    """Expect rest sooner than by ramps that are `_SLOW` times longer than usual."""
+    begin_ns = drive.now_ns
+    drive.braked(pace.velocity, 2.0 * _SLOW * pace.ramp_s + 0.5, what)
+    took_s, ramp_s = (drive.now_ns - begin_ns) / 1e9, _SLOW * pace.ramp_s
+    expected = f"rest in less than {0.9 * ramp_s:.2f} s, as a ramp takes {ramp_s:.2f} s"
+    drive.expect(took_s < 0.9 * ramp_s, what, expected, f"{took_s:.2f} s", "a ramp is used")
+
+
+@drive_clause("STOP-11", Level.L2, source="CiA 402-2, 605Bh and 605Ch; transitions 5 and 8")
+def disabling_is_taken_back(bench: DriveBench) -> None:
+    """Enabled again while it slows down by 605Bh or 605Ch, the drive never leaves that state."""
+    for entry, word in ((od.SHUTDOWN_OPTION, od.SHUTDOWN), (od.DISABLE_OPTION, od.SWITCH_ON)):
+        drive, pace, _ = _moving(bench, entry)
+        if drive.offer_value(entry, 1):
+            continue
+        drive.ramps(max(1, pace.acceleration // _SLOW))
+        drive.command(word)
+        drive.quiet(pace.ramp_s)
+        seen = drive.state()
+        what = f"controlword {word:02X}h with {entry.index:04X}h = 1"
+        expected = "operation enabled while it slows down"
+        drive.expect(seen is State.OPERATION_ENABLED, what, expected, f"{seen}")
+        drive.ramps(pace.acceleration)
+        drive.command(od.ENABLE)
+        drive.quiet(2.0 * _SLOW * pace.ramp_s)
+        seen = drive.state()
+        expected = "operation enabled, as before"
+        drive.expect(seen is State.OPERATION_ENABLED, f"{what}, then 0Fh", expected, f"{seen}")
+        if drive.has_mode(Mode.PV):
+            drive.near(od.VELOCITY, pace.velocity, pace.velocity // 10, f"{what}, then 0Fh")

@@ -7,13 +7,12 @@ from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Entry, Mode, State
+from motorhil.harness.conformance.drives.objects import Mode, State
 
 _FOLLOWING: Final = 0x8611
 _TIMEOUT_MS: Final = 30
 _FASTEST_S: Final = 0.01
 _HARDER, _FASTER = 100, 4
-_ERROR: Final = Entry(0x60F4, 0, "i", "following error actual value")
 _FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 
 
@@ -21,7 +20,7 @@ _FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 def following_error(bench: DriveBench) -> None:
     """A following error beyond 6065h for longer than 6066h sets bit 13, or is fault 8611h."""
     drive = bench.drive
-    drive.require(od.FOLLOWING_WINDOW, od.FOLLOWING_TIMEOUT, _ERROR)
+    drive.require(od.FOLLOWING_WINDOW, od.FOLLOWING_TIMEOUT, od.FOLLOWING_ERROR)
     pace = drive.pace()
     if pace.sample_s > _FASTEST_S:
         took = f"an upload takes {pace.sample_s:.3f} s"
@@ -35,7 +34,7 @@ def following_error(bench: DriveBench) -> None:
         word = drive.statusword()
         if word & od.BIT_13 or od.state_of(word) in _FAULTS:
             break
-        if beyond_ns is None and abs(drive.read(_ERROR)) > window:
+        if beyond_ns is None and abs(drive.read(od.FOLLOWING_ERROR)) > window:
             beyond_ns = drive.now_ns
     seen_s = None if beyond_ns is None else (drive.now_ns - beyond_ns) / 1e9
     is_fault = od.state_of(word) in _FAULTS
@@ -66,7 +65,7 @@ def _lag_by_profile(drive: Drive, pace: Pace) -> int:
     start = drive.read(od.POSITION)
     drive.offer(start + pace.distance(0.5), od.IMMEDIATELY)
     drive.await_velocity(pace.velocity, 3.0 * pace.ramp_s + 0.5)
-    errors = [abs(drive.read(_ERROR)) for _ in range(20)]
+    errors = [abs(drive.read(od.FOLLOWING_ERROR)) for _ in range(20)]
     word = drive.statusword()
     what = f"a move within 6065h = {drive.read(od.FOLLOWING_WINDOW)}"
     drive.expect(not word & od.BIT_13, what, "bit 13 = 0", f"6041h = {word:04X}h", "window ignored")

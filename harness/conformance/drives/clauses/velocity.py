@@ -147,6 +147,24 @@ def velocity_threshold(bench: DriveBench) -> None:
     _expect_delay(drive, pace, od.BIT_12, False, threshold, entries)
 
 
+@drive_clause("PV-10", Level.L1, source=f"{_PV}, 606Fh, statusword bit 12")
+def threshold_written_in_motion(bench: DriveBench) -> None:
+    """606Fh has its effect at once: bit 12 is 1 at speed below it, and 0 at speed above it."""
+    drive, pace = _start(bench)
+    drive.require(od.THRESHOLD, od.THRESHOLD_TIME)
+    drive.set(od.THRESHOLD_TIME, 0)
+    velocity = min(pace.velocity, 0xFFFF // 2)
+    drive.write(od.TARGET_VELOCITY, velocity)
+    drive.await_velocity(velocity, 2.0 * _longest_s(pace))
+    for threshold, wanted in ((velocity // 2, False), (2 * velocity, True), (velocity // 2, False)):
+        drive.set(od.THRESHOLD, threshold)
+        drive.quiet()
+        word = drive.statusword()
+        what = f"606Ch = {velocity}, 606Fh = {threshold}"
+        expected, cause = f"bit 12 = {int(wanted)}", "606Fh has its effect later"
+        drive.expect(bool(word & od.BIT_12) is wanted, what, expected, f"{word:04X}h", cause)
+
+
 @drive_clause("PV-06", Level.L2, source=f"{_PV}, controlword bit 8; 605Dh")
 def halt_ramps(bench: DriveBench) -> None:
     """Halt slows down at 6084h with 605Dh = 1, at 6085h with 2; without halt it runs again."""

@@ -69,7 +69,7 @@ def told(trial: Trial, reasons: Reasons) -> Iterator[str]:
 def trials_of(options: argparse.Namespace) -> Iterator[Trial]:
     """Yield the trial of each sampled mutant; show the progress on stderr."""
     prepare()
-    execution = measured()
+    execution = measured(options.bench)
     prepare(execution.modules)
     for number, mutant in enumerate(sample(options.seed, options.count, options.only), 1):
         plan = execution.plan(mutant, options.seconds)
@@ -101,6 +101,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="default 1")
     parser.add_argument("--count", type=int, default=200, metavar="N", help="default 200")
     parser.add_argument("--only", default="", metavar="TEXT", help="in functions of such names")
+    parser.add_argument("--bench", default="", metavar="TEXT", help="on benches of such names")
     parser.add_argument(
         "--seconds", type=float, default=5.0, metavar="S", help="cost of a mutant's checks"
     )

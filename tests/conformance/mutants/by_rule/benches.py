@@ -1,4 +1,6 @@
-"""Benches for mutants made by rule: the kit's own, and correct variants of one of them.
+"""Benches for mutants made by rule: the kit's own, correct variants of one of them, and drives.
+
+On the benches of drives, the clauses for drives judge the emulated drive alone.
 
 Everything here is imported late: a changed module must be imported in its place.
 """
@@ -10,14 +12,41 @@ from typing import Any, Final
 
 VARIANTS: Final = ("linear axis", "inverted polarity", "brakes gently", "only pp")
 _OF: Final = "cia402: "
+_DRIVE: Final = "drive: "
 
 
 @cache
 def names() -> tuple[str, ...]:
     """Return the names of all benches."""
+    from tests.conformance.drives.rigs import DRIVES
     from tests.support.kit_benches import KINDS
 
-    return (*KINDS, *(f"{_OF}{one}" for one in VARIANTS))
+    variants = (f"{_OF}{one}" for one in VARIANTS)
+    return (*KINDS, *variants, *(f"{_DRIVE}{one}" for one in DRIVES))
+
+
+def is_of_drive(name: str) -> bool:
+    """Return whether the clauses for drives judge this bench."""
+    return name.startswith(_DRIVE)
+
+
+def clauses(name: str) -> Any:
+    """Return the clauses for this bench by id."""
+    from motorhil.harness.conformance.drives.kit import drive_clauses
+    from motorhil.harness.conformance.kit import all_clauses
+    from tests.conformance.drives import rigs
+
+    if not is_of_drive(name):
+        return all_clauses()
+    own = rigs.CLAUSES.get(name.removeprefix(_DRIVE))
+    return {key: one for key, one in drive_clauses().items() if own is None or key in own}
+
+
+def has_known_finding(clause: str, name: str) -> bool:
+    """Return whether this clause must fail on this bench: its drive deviates on purpose."""
+    from tests.conformance.drives.rigs import known_finding
+
+    return is_of_drive(name) and known_finding(name.removeprefix(_DRIVE)) == clause
 
 
 @cache
@@ -27,8 +56,11 @@ def opener(name: str) -> Any:
     from motorhil.harness.rig.config.rig_file import read_rig
     from motorhil.harness.rig.rig import installed_plugins
     from tests.conformance import variants
+    from tests.conformance.drives import rigs
     from tests.support import kit_benches
 
+    if is_of_drive(name):
+        return rigs.opener(name.removeprefix(_DRIVE))
     if not name.startswith(_OF):
         return kit_benches.opener(name)
     with tempfile.TemporaryDirectory() as folder:
@@ -48,11 +80,13 @@ def claims(name: str) -> Any:
 
 def verdict(clause: str, name: str, *, claims_anew: bool = False) -> Any:
     """Return the verdict of a clause on a bench."""
-    from motorhil.harness.conformance.kit import all_clauses
     from motorhil.harness.conformance.run import home_of, run_clause
 
+    found = clauses(name)[clause]
+    if is_of_drive(name):
+        return run_clause(found, opener(name))
     known = None if claims_anew else claims(name)
-    return run_clause(all_clauses()[clause], opener(name), known, home_of("motorhil.motorapi"))
+    return run_clause(found, opener(name), known, home_of("motorhil.motorapi"))
 
 
 def forget() -> None:

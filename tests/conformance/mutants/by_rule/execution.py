@@ -17,6 +17,7 @@ from tests.conformance.mutants.by_rule.sources import Mutant
 from tests.support.checkout import CHECKOUT, sources
 
 KEPT: Final = CHECKOUT / "build" / "mutants" / "execution.json"
+_OF_DRIVES: Final = ("harness/conformance/drives", "tests/conformance/drives")
 _LONG_S: Final = 600.0
 
 
@@ -36,6 +37,11 @@ class Run:
     cpu_s: float
     result: str
     hits: dict[str, int]
+
+    @property
+    def is_able(self) -> bool:
+        """False if it checks nothing: a clause for drives that is not applicable."""
+        return not benches.is_of_drive(self.bench) or self.result != "not applicable"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +69,7 @@ class Execution:
         Every clause comes once before any comes for the second time, on another bench.
         """
         bit = 1 << mutant.statement if mutant.is_in_function else -1
-        able = [one for one in self.runs if one.hits.get(mutant.file, 0) & bit]
+        able = [one for one in self.runs if one.hits.get(mutant.file, 0) & bit and one.is_able]
         able.sort(key=lambda one: one.cpu_s)
         turns: dict[str, int] = {}
         ranked = []
@@ -80,22 +86,31 @@ class Execution:
         return chosen
 
 
-def measured() -> Execution:
-    """Return the execution of these sources: kept from before, or measured now, in minutes."""
-    digest = _digest()
-    if KEPT.exists():
-        kept = json.loads(KEPT.read_text())
-        if kept["digest"] == digest:
-            return _unpacked(kept)
-    kept = {"digest": digest, **_measure()}
-    KEPT.parent.mkdir(parents=True, exist_ok=True)
-    KEPT.write_text(json.dumps(kept))
-    return _unpacked(kept)
+def measured(only: str = "") -> Execution:
+    """Return the execution of these sources: kept from before, or measured now, in minutes.
 
-
-def _unpacked(kept: dict[str, Any]) -> Execution:
-    runs = [Run(**{**one, "hits": _bits(one["hits"])}) for one in kept["runs"]]
-    return Execution(runs, _bits(kept["before"]), kept["modules"])
+    Args:
+        only: a part of the names of benches; the others take no part.
+    """
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    digests = {of_drive: _digest(of_drive) for of_drive in (False, True)}
+    runs: list[Run] = []
+    before: dict[str, int] = {}
+    modules: set[str] = set()
+    for bench in benches.names():
+        if only not in bench:
+            continue
+        digest = digests[benches.is_of_drive(bench)]
+        if kept.get(bench, {}).get("digest") != digest:
+            kept[bench] = {"digest": digest, **_measure(bench)}
+            KEPT.parent.mkdir(parents=True, exist_ok=True)
+            KEPT.write_text(json.dumps(kept))
+        found = kept[bench]
+        runs += [Run(**{**one, "hits": _bits(one["hits"])}) for one in found["runs"]]
+        modules.update(found["modules"])
+        for file, bits in _bits(found["before"]).items():
+            before[file] = before.get(file, 0) | bits
+    return Execution(runs, before, sorted(modules))
 
 
 def _bits(texts: dict[str, str]) -> dict[str, int]:
@@ -106,63 +121,59 @@ def _texts(bits: dict[str, int]) -> dict[str, str]:
     return {file: f"{one:x}" for file, one in bits.items()}
 
 
-def _digest() -> str:
-    """Return a digest of everything that the measurement depends on."""
+def _digest(of_drive: bool) -> str:
+    """Return a digest of everything that the measurement of one kit's benches depends on."""
     rigs = sorted((CHECKOUT / "harness" / "conformance").rglob("*.toml"))
     own = [Path(__file__).with_name(f"{name}.py") for name in ("benches", "loading", "sources")]
-    files = [*sources(), *rigs, CHECKOUT / "tests" / "conformance" / "variants.py", *own]
+    tests = CHECKOUT / "tests" / "conformance"
+    files = [*sources(), *rigs, tests / "variants.py", tests / "drives" / "rigs.py", *own]
+    others = ("motorapi", "harness/conformance/clauses") if of_drive else _OF_DRIVES
     state = blake2b(digest_size=16)
     for path in files:
-        state.update(path.read_bytes())
+        if not path.relative_to(CHECKOUT).as_posix().startswith(others):
+            state.update(path.read_bytes())
     return state.hexdigest()
 
 
-def _measure() -> dict[str, Any]:
-    found: dict[str, Any] = {"runs": []}
-    modules: set[str] = set()
-    before: dict[str, int] = {}
-    for bench in benches.names():
-        print(f"measuring which statements the clauses execute: {bench}", file=sys.stderr)
-        ended = False
-        for answer in answers(lambda tell, bench=bench: _run_all(bench, tell)):
-            if answer is None or "raised" in answer:
-                raise RuntimeError(f"{bench}: measuring failed: {answer}")
-            if "modules" in answer:
-                modules.update(answer["modules"])
-                for file, bits in _bits(answer["before"]).items():
-                    before[file] = before.get(file, 0) | bits
-                ended = True
-            else:
-                found["runs"].append(answer)
-        assert ended, bench
-    found["modules"] = sorted(modules)
-    found["before"] = _texts(before)
-    return found
+def _measure(bench: str) -> dict[str, Any]:
+    print(f"measuring which statements the clauses execute: {bench}", file=sys.stderr)
+    runs: list[Any] = []
+    for answer in answers(lambda tell: _run_all(bench, tell)):
+        if answer is None or "raised" in answer:
+            raise RuntimeError(f"{bench}: measuring failed: {answer}")
+        if "modules" in answer:
+            return {"runs": runs, "modules": answer["modules"], "before": answer["before"]}
+        runs.append(answer)
+    raise RuntimeError(f"{bench}: measuring did not end")
 
 
 def _run_all(bench: str, tell: Tell) -> None:
     """Run all clauses on a bench, in instrumented sources."""
     limit(_LONG_S, 10.0 * _LONG_S)
     import_instrumented()
-    from motorhil.harness.conformance.kit import all_clauses
-
-    clauses = list(all_clauses())
+    clauses = list(benches.clauses(bench))
     benches.opener(bench)
     before = hits(clear=True)
     for clause in clauses:
         begin_s = cpu_s()
         verdict = benches.verdict(clause, bench, claims_anew=True)
         cost_s = cpu_s() - begin_s
-        if verdict.result.is_good:
+        if verdict.result.is_good or benches.has_known_finding(clause, bench):
             tell(
                 {
                     "bench": bench,
                     "clause": clause,
                     "cpu_s": round(cost_s, 4),
                     "result": verdict.result.value,
-                    "hits": _texts(hits(clear=True)),
+                    "hits": _texts(_of(bench, hits(clear=True))),
                 }
             )
     own = ("motorhil", "numpy", "can", "canopen", "pymodbus", "hypothesis")
     modules = [name for name in sys.modules if name.partition(".")[0] in own]
     tell({"modules": modules, "before": _texts(before)})
+
+
+def _of(bench: str, found: dict[str, int]) -> dict[str, int]:
+    """Return the sources that clauses on this bench judge: those for drives, emulators alone."""
+    of_drive = benches.is_of_drive(bench)
+    return {file: n for file, n in found.items() if not of_drive or file.startswith("emulators/")}

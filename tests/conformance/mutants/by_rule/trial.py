@@ -61,13 +61,11 @@ class Trial:
 
 def prepare(modules: Sequence[str] = ()) -> None:
     """Import everything that trials need, once, before they are forked."""
-    from motorhil.harness.conformance.kit import all_clauses
-
-    all_clauses()
     for name in modules:
         with suppress(ImportError):
             import_module(name)
     for name in benches.names():
+        benches.clauses(name)
         with benches.opener(name)():  # reads the files that benches are made of
             pass
     forget_results()
@@ -110,9 +108,8 @@ def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> Non
     begin_s = cpu_s()
     load(mutant, afresh=afresh)
     if afresh:
-        from motorhil.harness.conformance.kit import all_clauses
-
-        all_clauses()
+        for run in plan:
+            benches.clauses(run.bench)
     withdrawn = None
     for run in plan:
         limit(max(_LEAST_S, _TIMES * run.cpu_s), _WALL_S)
@@ -125,10 +122,11 @@ def _check(mutant: Mutant, plan: Sequence[Run], afresh: bool, tell: Tell) -> Non
             "cpu_s": cpu_s() - begin_s,
             "outcome": "",
         }
-        if not verdict.result.is_good:
+        if verdict.result.is_good is (run.result == "failed"):  # or a known finding has gone
             is_hanging = verdict.result.value == "hung"
             outcome = Outcome.HANGS if is_hanging else Outcome.KILLED
-            tell({**answer, "outcome": outcome.value})
+            seen = verdict.seen or f"no finding: {run.clause} fails on this drive"
+            tell({**answer, "seen": seen, "outcome": outcome.value})
             return
         if verdict.result.value != run.result and withdrawn is None:
             withdrawn = {**answer, "outcome": Outcome.WITHDRAWN.value}

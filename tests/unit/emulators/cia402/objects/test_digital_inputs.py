@@ -223,6 +223,14 @@ def test_index_pulse_is_a_source_by_either_setting():
         assert bench.write(0x60D0, 1, 3, 2) == 0x0609_0030
 
 
+def test_index_pulse_passed_before_its_use_is_not_an_edge():
+    bench = probing(0)
+    go(bench, 3_000)  # the pulse is at 700 and 2700, the last switch at 1500
+    bench.set(0x60B8, 0, ON | EVERY | PULSE | RISING, 2)
+    go(bench, 3_500)
+    assert shown(bench)[:4] == [1, 0, 0, 0]
+
+
 def test_second_probe_has_the_upper_byte_and_own_inputs():
     bench = probing((ON | RISING | FALLING) << 8)
     bench.drive.stimulate("touch_probe_2", 1, bench.now)

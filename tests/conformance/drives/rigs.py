@@ -1,0 +1,152 @@
+"""Rigs of one drive each: correct ones that no clause may accuse, and drives with known findings.
+
+`DRIVES` has the keys of their controllers. On a drive of `DEVIATIONS`, the clause named there must
+fail. Drives of `CLAUSES` are judged by these clauses alone, since all others say nothing new.
+"""
+
+import re
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+from motorhil.emulators.cia402.settings import CATALOGUE, OWN_EDS
+from motorhil.harness.conformance.drives.target import DriveTarget
+from motorhil.harness.conformance.target import Job
+
+_RIG: Final = """\
+[rig]
+name = "a drive"
+seed = 1
+[bus.can0]
+bitrate_bit_s = 1_000_000
+[controller.drive]
+kind = "cia402"
+bus = "can0"
+node_id = 5
+{keys}
+"""
+_PLANT: Final = 'plant = { preset = "wheel_60w" }'
+_FILES: Final = TemporaryDirectory()
+
+DEVIATIONS: Final = {
+    "inverted_set_point_acknowledge": "PP-02",
+    "single_set_point_only": "PP-01",
+    "edge_only_bits": "PP-04",
+    "stale_target_reached": "PP-05",
+    "halt_holds_mode": "OD-07",
+    "stray_emcy": "ERR-01",
+    "misplaced_error_register": "ERR-01",
+}
+"""Quirks that break a promise of the standards; all others are legal behaviour."""
+LEGAL: Final = [quirk.name for quirk in CATALOGUE if quirk.name not in DEVIATIONS]
+
+
+def _variable(index: str, name: str, data_type: int, default: int) -> str:
+    kind = f"ObjectType=0x7\nDataType=0x{data_type:04X}\nAccessType=ro\nPDOMapping=1"
+    return f"\n[{index}]\nParameterName={name}\n{kind}\nDefaultValue={default}\n"
+
+
+@cache
+def _eds(name: str, *, without: tuple[str, ...] = (), added: str = "") -> Path:
+    """Write our own EDS without some objects, and with others; return its path."""
+    text = OWN_EDS.read_text()
+    for index in without:
+        text = re.sub(rf"\n\[{index}(sub\w+)?\]\n.*?(?=\n\[)", "", text, flags=re.DOTALL)
+        text = re.sub(rf"^\d+=0x{index}\n", "", text, flags=re.MULTILINE)
+    path = Path(_FILES.name, f"{name}.eds")
+    path.write_text(text + added)
+    return path
+
+
+_MORE: Final = (
+    _variable("6069", "Velocity sensor actual value", 4, 0),
+    _variable("6079", "DC link circuit voltage", 7, 0),
+    _variable("60FC", "Position demand internal value", 4, 0),
+)
+_RPM: Final = _variable("608C", "Velocity dimension index", 5, 0xA4)
+_DEGREES: Final = (
+    _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
+    _variable("60A9", "SI unit velocity", 7, 0xFF41_0300),  # 0.1 degree per second
+)
+_LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6502")
+
+DRIVES: dict[str, str] = {
+    "own": "",
+    "switches": (
+        "switches = { negative_limit_rad = -1.0, positive_limit_rad = 6.0,"
+        " home_from_rad = 0.5, home_to_rad = 0.7, touch_probe_1_from_rad = 0.2,"
+        " touch_probe_1_to_rad = 0.3, touch_probe_2_from_rad = -0.5, index_rad = 0.7 }"
+    ),
+    "own clock": "oscillator = { ppm = -8000.0 }",
+    "units": (
+        'objects = { "6081h" = 2000, "6083h" = 2000 }\n'
+        "units = { position_unit_inc = 4.0, velocity_unit_inc_s = 10.0,"
+        " acceleration_unit_inc_s2 = 100.0 }"
+    ),
+    "sync supervision": (
+        "cyclic = { sync_lost_periods = 3 }\n"
+        'protection = { sto = "fault", sto_error_code = 0xFF01 }'
+    ),
+    "backlash": (
+        'plant = { preset = "wheel_60w", backlash_rad = 0.0003,'
+        " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
+        "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3 }"
+    ),
+    "position and homing only": 'supported_modes = ["pp", "hm"]',
+    "more objects": f'eds = "{_eds("more", added="".join(_MORE))}"',
+    "rpm": (f'eds = "{_eds("rpm", added=_RPM)}"\nobjects = {{ "6081h" = 2000, "6083h" = 20000 }}'),
+    "degrees": (
+        f'eds = "{_eds("degrees", added="".join(_DEGREES))}"\n'
+        'objects = { "6081h" = 2000, "6083h" = 20000 }'
+    ),
+    "lean": (
+        f'eds = "{_eds("lean", without=_LEAN)}"\n'
+        'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }'
+    ),
+    "legal quirks": f"quirks = {LEGAL}",
+    **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
+}
+
+_OF_QUIRKS: Final = ("NMT-01", "NMT-03", "PDS-01", "PDS-03", "PP-01", "ERR-01", "PDO-07", "CSP-01")
+_OF_UNITS: Final = ("VAL-01", "PV-02", "PV-03", "PP-01", "OD-01", "FAC-01", "HOME-01", "TQ-05")
+_OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
+CLAUSES: dict[str, tuple[str, ...]] = {
+    "switches": (*_OF_SWITCHES, "TP-01", "TP-02", "TP-04", "DIN-01", "LSW-01", "LSW-02", "LIM-01"),
+    "units": (*_OF_UNITS, "PV-05", "LIM-01", "RNG-01", "CSV-02", "PP-09", "HOME-07", "PV-08"),
+    "backlash": ("TP-04", "HOME-06", "PP-01", "PV-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
+    "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),
+    "sync supervision": ("CYC-01", "ERR-07", "CSP-01", "CSP-06", "IP-01", "IP-02", "CSV-01"),
+    "more objects": ("VAL-02", "VAL-03", "ERR-05", "ERR-06"),
+    "rpm": _OF_UNITS,
+    "degrees": _OF_UNITS,
+    "lean": ("PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
+    "legal quirks": _OF_QUIRKS,
+    **{f"quirk {name}": (killer, *_OF_QUIRKS[:2]) for name, killer in DEVIATIONS.items()},
+}
+"""The clauses for drives that differ in few points; all others have all clauses."""
+
+
+def text_of(keys: str = "") -> str:
+    """Return the rig of a drive with these keys of its controller."""
+    return _RIG.format(keys=keys if "plant = " in keys else f"{_PLANT}\n{keys}")
+
+
+def target(keys: str = "") -> DriveTarget:
+    """Return a drive as target of the kit, with these keys of its controller."""
+    with TemporaryDirectory() as folder:
+        rig = Path(folder, "rig.toml")
+        rig.write_text(text_of(keys))
+        return DriveTarget(Job(rig=str(rig), controller="drive"))
+
+
+def opener(name: str) -> Callable[[], Any]:
+    """Return an opener of benches with the drive of this name."""
+    return target(DRIVES[name]).opener()
+
+
+def known_finding(name: str) -> str:
+    """Return the clause that must fail on the drive of this name; "" if none may."""
+    return DEVIATIONS.get(name.removeprefix("quirk "), "")
