@@ -22,7 +22,7 @@ _POLLED = frozenset(
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("LIM-05", "LEAD-01", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11"),
-        *("TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
+        *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
     }
 )
 NOT_APPLICABLE = {
@@ -34,7 +34,7 @@ NOT_APPLICABLE = {
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
             *(f"LOST-{number:02}" for number in range(1, 12)),
-            *("OTHER-01", "OVER-01", *_OF_CAN, *_OF_CANOPEN),
+            *("OTHER-01", "OVER-01", "SET-10", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
     "leadshine": _POLLED,

@@ -130,3 +130,10 @@ def the_hardware_object_is_always_free():
     """The hardware object obeys everybody while its motor moves."""
     with replaced(PhysicalMotor, "require_free", lambda _: lambda physical: None):
         yield
+
+
+@mutant("ideal", "CLOSE-01")
+def closed_and_still_at_work():
+    """close() returns without closing anything."""
+    with replaced(IdealMotor, "close", lambda _: lambda motor: None):
+        yield
