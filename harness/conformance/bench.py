@@ -28,6 +28,8 @@ class Ability(Enum):
     BUS_ERRORS = "disturb frames on a CAN bus until a node goes bus-off"
     AFRESH = "switch everything off and on again"
     STOP_SYNC = "stop the signal that clocks streamed motions"
+    CLOCK = "produce the signal that clocks streamed motions"
+    OTHER_PROGRAM = "stop a drive from another program"
     RESTART = "switch a drive off and on again"
     TRAFFIC = "see the commands sent to a drive"
     SECOND_MOTOR = "move a second motor"
@@ -126,6 +128,18 @@ class RigProtocol(Protocol):
 
     def stop_sync(self) -> AbstractContextManager[Lost]:
         """Drop the signal that clocks streamed motions within the block (Ability.STOP_SYNC)."""
+
+    def clock(self) -> AbstractContextManager[Sequence[int]]:
+        """Record the times of the host's clock signals in the block [ns] (Ability.CLOCK)."""
+
+    def another_clock(self, period_s: float) -> AbstractContextManager[None]:
+        """Let another node produce the clock signal with this period [s] (Ability.CLOCK)."""
+
+    def stop_from_elsewhere(self, motor: Motor) -> None:
+        """Stop the drive by a command of another program (Ability.OTHER_PROGRAM).
+
+        The drive brakes, and then rests, enabled.
+        """
 
     def restart(self, motor: Motor) -> None:
         """Restart the motor's drive, as after a power failure (Ability.RESTART)."""

@@ -62,7 +62,7 @@ _CURVE_POINTS: Final = 400
 _VALUE: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?) (rad/s|rad|m/s|m|N·m|N|A|s)(?![\w/·])")
 _DISTURBS: Final = {
     *(Ability.CUT, Ability.LOSE, Ability.SILENCE_HOST, Ability.BUS_ERRORS),
-    *(Ability.STOP_SYNC, Ability.RESTART),
+    *(Ability.STOP_SYNC, Ability.CLOCK, Ability.OTHER_PROGRAM, Ability.RESTART),
 }
 _TARGET: Final = "607Ah"
 _EMULATORS: Final = str(Path(motorhil.__file__).parent / "emulators") + os.sep

@@ -19,8 +19,10 @@ _MODULES: Final = (
     "motion.limits",
     "motion.stopping",
     "failures.faults",
+    "low_level",
     "sharing",
     "groups",
+    "failures.interference",
     "failures.communication_loss",
     "failures.bus_errors",
 )

@@ -10,6 +10,7 @@ from typing import Final, Self, final
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import can_id_of, data_of, pack
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.observation import Observation
@@ -32,6 +33,12 @@ _SYNC: Final = 0x080
 _SDO_ANSWER: Final = 0x580  # + node-ID
 _UNUSED_ID: Final = 0x7FF
 _LAST_BIT: Final = 0.02
+_STOPS: Final = {  # commands of another program: by SDO to 6040h, halt; by the vendors' registers
+    "cia402": bytes.fromhex("2B 40 60 00 0F 01 00 00"),
+    "leadshine_pr": bytes.fromhex("06 60 02 00 40"),
+    "oriental_az": bytes.fromhex("10 00 7C 00 02 04 00 00 00 20"),
+}
+_SDO_REQUEST: Final = 0x600  # + node-ID
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 
 
@@ -171,7 +178,9 @@ class RigBench:
             if not self._is_on_a_line(self.motor):
                 able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
             if kind in _CANOPEN:
-                able |= {Ability.STOP_SYNC, Ability.RESTART}
+                able |= {Ability.STOP_SYNC, Ability.RESTART, Ability.CLOCK}
+            if kind in _STOPS:
+                able.add(Ability.OTHER_PROGRAM)
         return tuple(one for one in Ability if one in able)
 
     @property
@@ -316,6 +325,43 @@ class RigBench:
         """Drop all SYNC frames (CiA 301) within the block."""
         with self.lose_identifier(_SYNC) as lost:
             yield lost
+
+    @contextmanager
+    def clock(self) -> Iterator[list[int]]:
+        """Record the times of the host's SYNC on the motor's bus in the block [ns]."""
+        times_ns: list[int] = []
+        bus = self._bus(self.motor)
+
+        def on_frame(where: str, time_ns: int, sender: str, frame: bytes) -> None:
+            if where == bus and can_id_of(frame) == _SYNC and sender.startswith(HOST):
+                times_ns.append(time_ns)
+
+        world = self.rig.world
+        world.tap_frames(on_frame)
+        try:
+            yield times_ns
+        finally:
+            world.untap_frames(on_frame)
+
+    @contextmanager
+    def another_clock(self, period_s: float) -> Iterator[None]:
+        """Let another node of the motor's bus produce SYNC with this period [s] in the block."""
+        port = self.rig.world.add_host(self._bus(self.motor), "another", lambda *_: None)
+        timer = self.runtime.every(period_s, lambda: port.send(pack(_SYNC)))
+        try:
+            yield
+        finally:
+            timer.cancel()
+
+    def stop_from_elsewhere(self, motor: Motor) -> None:
+        """Halt a CiA 402 drive by SDO, or stop a Modbus drive by its registers."""
+        described = self._description.controllers[self._controller(motor)]
+        node, command = described.node_id or 0, _STOPS[described.kind]
+        if self._is_on_a_line(motor):
+            self.rig.line(self._bus(motor)).send(with_crc(bytes((node,)) + command))
+        else:
+            port = self.rig.world.add_host(self._bus(motor), "another", lambda *_: None)
+            port.send(pack(_SDO_REQUEST + node, command))
 
     def restart(self, motor: Motor) -> None:
         """Restart the motor's drive by an NMT reset node from another host."""

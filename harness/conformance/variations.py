@@ -79,6 +79,12 @@ _THREE: list[Change] = [
     ("[group.both]", f"{_THIRD}[group.both]"),
     ('motors = ["left", "right"]', 'motors = ["left", "right", "third"]'),
 ]
+_UNIT = "unit_rad_s{} = 4.7599888690754445e-05\n"
+_OF_THE_DRIVE: list[Change] = [
+    ("velocity_" + _UNIT.format(""), ""),
+    ("acceleration_" + _UNIT.format("2"), ""),
+]
+_NO_IDENTIFIERS = ", ".join(f'"{index}h:1" = 0x80000000' for index in ("1400", "1401", "1800"))
 _ELASTIC = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
@@ -94,6 +100,9 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     "inverted polarity": of_drive('objects = { "607Eh" = 0xC0 }'),
     "home offset": of_drive('objects = { "607Ch" = 1000 }'),
     "halt by the quick stop ramp": of_drive('objects = { "605Dh" = 2 }'),
+    "torque limit in the drive": of_drive('objects = { "6072h" = 300 }'),
+    "units of the drive": _OF_THE_DRIVE,
+    "PDOs without identifiers": of_drive(f"objects = {{ {_NO_IDENTIFIERS} }}"),
     "no csp": without_modes(0x2D),
     "no tq": without_modes(0xA5),
     "no pv": without_modes(0xA1),

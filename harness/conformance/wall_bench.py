@@ -216,6 +216,18 @@ class WallBench:
         """Raise NotApplicable."""
         _refuse(Ability.STOP_SYNC)
 
+    def clock(self) -> AbstractContextManager[Sequence[int]]:
+        """Raise NotApplicable: the bench does not record the bus."""
+        _refuse(Ability.CLOCK)
+
+    def another_clock(self, period_s: float) -> AbstractContextManager[None]:
+        """Raise NotApplicable: nothing else may send on a bus with power."""
+        _refuse(Ability.CLOCK)
+
+    def stop_from_elsewhere(self, motor: Motor) -> None:
+        """Raise NotApplicable: nothing else may send on a bus with power."""
+        _refuse(Ability.OTHER_PROGRAM)
+
     def restart(self, motor: Motor) -> None:
         """Raise NotApplicable."""
         _refuse(Ability.RESTART)

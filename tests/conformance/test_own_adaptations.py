@@ -15,13 +15,14 @@ from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
-_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04")
+_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05")
+_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05")
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("LIM-05", "LEAD-01", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11"),
-        *_OF_CAN,
+        *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
     }
 )
 NOT_APPLICABLE = {
@@ -33,12 +34,12 @@ NOT_APPLICABLE = {
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
             *(f"LOST-{number:02}" for number in range(1, 12)),
-            *_OF_CAN,
+            *("OTHER-01", "OVER-01", "SET-10", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
     "leadshine": _POLLED,
     "oriental_az": _POLLED,
-    "software": frozenset({"HEAR-05", "MEAS-02", "SET-05", "SYNC-05"}),
+    "software": frozenset({"HEAR-05", "LOW-04", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}),
 }
 
 

@@ -1,5 +1,7 @@
 """Correct motors that differ from the kit's own: the kit must accuse none of them."""
 
+import re
+import tempfile
 from pathlib import Path
 
 from motorhil.harness.conformance import variations
@@ -10,7 +12,32 @@ _SEEKING = "seeking_method = 17\n"
 _WITHOUT_CONSUMER = '\n[conformance.without]\ndead_man = "the file has no heartbeat consumer"\n'
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"
 _GENTLY = [(_ACCELERATION, f"{_ACCELERATION}\ndeceleration_max_rad_s2 = 1.0")]
-VARIANTS = {**VARIATIONS, "brakes gently": _GENTLY}
+_BY_SDO = "".join(
+    f'{one} = "it has no RPDO"\n'
+    for one in ("complex_position", "complex_velocity", "common_trigger")
+)
+_FOLDER = tempfile.TemporaryDirectory()
+
+
+def _without(*objects: str) -> Path:
+    """Return a copy of the own drive's EDS without the objects of these patterns."""
+    from tests.support.checkout import CHECKOUT
+
+    text = (CHECKOUT / "emulators" / "eds" / "motorhil_cia402.eds").read_text()
+    pattern = "|".join(objects)
+    sections = re.split(r"(?m)^(?=\[)", text)
+    kept = [one for one in sections if not re.match(rf"\[(?:{pattern})(?:sub\w+)?\]", one)]
+    path = Path(_FOLDER.name, "without.eds")
+    path.write_text(re.sub(rf"(?m)^\d+=0x(?:{pattern})\n", "", "".join(kept)))
+    return path
+
+
+_NO_RPDOS = [
+    *of_drive(f'eds = "{_without("140.", "160.", "60F4")}"'),
+    ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # an SDO is answered afterwards
+    (_SEEKING, f"{_SEEKING}\n[conformance.without]\n{_BY_SDO}"),
+]
+VARIANTS = {**VARIATIONS, "brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
 VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
 

@@ -12,6 +12,7 @@ from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, 
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
+    expect_raises,
     expect_rest,
     expect_state,
     expect_unmoved,
@@ -390,6 +391,22 @@ def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     move(bench, motor, 0.1 * long_move(bench))
     for _ in range(2):
         motor.close()
+
+
+@clause(
+    "CLOSE-01",
+    Level.L3,
+    needs=_MOVES,
+    source="Device.close: releases the device; errors, LinkError: this hardware object is closed",
+)
+def closed_motor_refuses_commands(bench: RigProtocol) -> None:
+    """After close(), commands fail with an error of the interface."""
+    motor = bench.motor
+    move(bench, motor, 0.1 * long_move(bench))
+    motor.close()
+    for operation in (motor.start, motor.enable, motor.reset_fault, motor.disable):
+        what = f"{operation.__name__}() returned after close()"
+        expect_raises(MotorError, operation, what)
 
 
 @clause(

@@ -10,6 +10,7 @@ from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.logical_motor import LogicalMotor
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -103,4 +104,36 @@ def low_level_access_leaves_all_as_it_was():
         replaced(CanopenNode, "_on_heartbeat", wrong),
         replaced(Cia402Motor, "_close_low_level", lambda _: lambda motor: None),
     ):
+        yield
+
+
+@mutant("cia402", "LOW-04")
+def switching_off_by_hand_is_not_done():
+    """disable() of the hardware object returns without a command."""
+    with replaced(Cia402HwMotor, "disable", lambda _: lambda hardware: None):
+        yield
+
+
+@mutant("cia402", "LOW-05")
+def every_object_is_its_first():
+    """upload() of the hardware object ignores the sub-index."""
+
+    def wrong(upload):
+        return lambda hardware, index, subindex=0: upload(hardware, index)
+
+    with replaced(Cia402HwMotor, "upload", wrong):
+        yield
+
+
+@mutant("cia402", "LOW-05")
+def the_hardware_object_is_always_free():
+    """The hardware object obeys everybody while its motor moves."""
+    with replaced(PhysicalMotor, "require_free", lambda _: lambda physical: None):
+        yield
+
+
+@mutant("ideal", "CLOSE-01")
+def closed_and_still_at_work():
+    """close() returns without closing anything."""
+    with replaced(IdealMotor, "close", lambda _: lambda motor: None):
         yield

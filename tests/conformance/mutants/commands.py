@@ -8,6 +8,7 @@ from motorhil.motorapi.adaptations.cia402 import motion as drive_motions
 from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.profile import TorqueUnit
 from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.ideal.profiles import Led
@@ -456,4 +457,15 @@ def a_led_motor_is_done_with_its_leader_at_rest():
         return looked
 
     with replaced(Led, "look", wrong):
+        yield
+
+
+@mutant("cia402", "SET-10")
+def more_than_that_is_not_needed():
+    """Torques above a limit of the drive are accepted, and made as large as the limit."""
+
+    def wrong(raw):
+        return lambda unit, torque: raw(unit, max(-3.5, min(torque, 3.5)))
+
+    with replaced(TorqueUnit, "raw", wrong):
         yield

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from motorhil.motorapi import execution
 from motorhil.motorapi import motor as motor_module
+from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
@@ -153,4 +154,18 @@ def it_moves_only_while_asked():
         return polled
 
     with replaced(PolledMotor, "fire", watched), replaced(PolledMotor, "_poll", asked):
+        yield
+
+
+@mutant("cia402", "TRAJ-10")
+def led_in_with_hesitation():
+    """A motor beside the beginning of a stream is led there at a fifth of its acceleration."""
+
+    def wrong(approach_of):
+        def led(streamed, motion):
+            return approach_of(streamed, replace(motion, acceleration=0.2 * motion.acceleration))
+
+        return led
+
+    with replaced(StreamedMotion, "_approach_of", wrong):
         yield

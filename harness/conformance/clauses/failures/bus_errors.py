@@ -9,10 +9,12 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
+    elapsed_s,
     error_ending,
     expect_moved,
     expect_state,
     expect_usable,
+    failure_of,
     finish,
     long_move,
     modes_of,
@@ -32,6 +34,7 @@ _AT_ONCE_S = 0.05
 _BACK_S = 0.2
 _BIT_ERROR_RATE = 1e-4
 _MOVES = 6
+_COMMAND_FRAMES = 4  # of a command that is confirmed
 _FRAMES = 14  # a start, and a few frames after it
 _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
 
@@ -119,4 +122,35 @@ def bus_off_at_any_frame_moves_once_or_fails(bench: RigProtocol) -> None:
         motor.enable()
         strike = bench.strike(None, _TO_BUS_OFF, skip=skip)
         hit += move_through(bench, motor, strike, f"bus-off with frame {skip + 1} of a move")
+    reached(hit > 0, "bus-off of the host")
+
+
+@clause(
+    "BUS-05",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench=_ERRORS,
+    source="errors, LinkError: the bus is off; Linux: bus-off discards queued frames",
+)
+def command_in_bus_off_fails_at_once(bench: RigProtocol) -> None:
+    """A command that bus-off of the host meets fails at once, with LinkError; later ones work."""
+    hit = 0
+    for skip in range(_COMMAND_FRAMES):
+        bench.afresh()
+        motor = bench.motor
+        move(bench, motor, 0.1 * long_move(bench))
+        begun_ns = bench.runtime.now_ns()
+        with bench.strike(None, _TO_BUS_OFF, skip=skip) as struck:
+            error = failure_of(motor.disable)
+            took_s = elapsed_s(bench, begun_ns)
+            rest_for(bench, until_rest_s(bench, motor))
+            hit += struck() == _TO_BUS_OFF
+        if error is None:
+            break
+        expect(
+            isinstance(error, LinkError) and took_s <= _AT_ONCE_S,
+            f"bus-off at frame {skip + 1} of disable(): {error!r} after {took_s:.3f} s; expected"
+            f" LinkError within {_AT_ONCE_S:g} s",
+        )
+        expect_usable(bench, motor, "after bus-off in disable()")
     reached(hit > 0, "bus-off of the host")

@@ -21,7 +21,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_moved,
     expect_raises,
     expect_rest,
-    expect_speed,
     expect_state,
     expect_unmoved,
     expect_usable,
@@ -36,7 +35,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     reached,
     rest_for,
     shortest_s,
-    turn,
     until_rest_s,
 )
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
@@ -44,15 +42,12 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,
-    DerivativeLimits,
     DeviceFault,
     LinkError,
     Motor,
-    MotorBusyError,
     MotorError,
     MotorState,
     PeerError,
-    StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
@@ -522,89 +517,3 @@ def restarted_drive_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
     motor.home(_HERE)
     expect(motor.is_referenced(), "homed again after a restart: not referenced")
     expect_at(bench, motor, 0.0, "homed again after a restart")
-
-
-@clause(
-    "LOW-01",
-    Level.L2,
-    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
-    source="requirement 2: no other part of the interface will have any effect",
-)
-def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
-    """Low-level access is exclusive; when it ends, the motor works as before."""
-    motor, way = bench.motor, 0.2 * long_move(bench)
-    origin = motor.position()
-    move(bench, motor, way)
-    for _ in range(2):
-        motor.disable()  # a servo loop on the host would have to send meanwhile
-        with motor.low_level() as hardware:
-            expect(hardware is not None, "low-level access: the hardware object is None")
-            for operation in (motor.start, motor.stop, motor.disable):
-                what = f"{operation.__name__}() was accepted during low-level access"
-                expect_raises(MotorBusyError, operation, what)
-            rest_for(bench, 0.3)
-    expect_at(bench, motor, origin + way, "after unused low-level access")
-    move(bench, motor, way)
-    expect_at(bench, motor, origin + 2.0 * way, "moved after low-level access")
-
-
-@clause(
-    "LOW-02",
-    Level.L2,
-    needs={Capability.LOW_LEVEL, Capability.VELOCITY_SET_POINT},
-    bench={Ability.TRUTH},
-    source="requirement 2; Motor.low_level: StateError, a motion of this motor is active",
-)
-def low_level_access_requires_rest(bench: RigProtocol) -> None:
-    """Low-level access is refused while the motor moves; the motion continues undisturbed."""
-    motor = bench.motor
-    asked = 0.3 * motor.model.velocity_max
-    turn(motor, asked)
-    finish(bench, motor, 2.0)
-    rest_for(bench, 0.1)
-    expect_raises(
-        (MotorBusyError, StateError),
-        partial(_open_and_close, motor),
-        "low-level access was granted while the motor moves",
-    )
-    expect_speed(bench, motor, asked, 0.3, "low-level access refused")
-    motor.stop()
-    finish(bench, motor)
-
-
-def _open_and_close(motor: Motor) -> None:
-    with motor.low_level():
-        pass
-
-
-@clause(
-    "LOW-03",
-    Level.L5,
-    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
-    bench={Ability.TRUTH, Ability.RESTART},
-    source="Motor.low_level: afterwards nothing is assumed, the next start writes all its settings",
-)
-def changes_in_low_level_access_are_noticed(bench: RigProtocol) -> None:
-    """If low-level access lost all settings of a drive, the next motion is as before."""
-    motor, way = bench.motor, 0.3 * long_move(bench)
-    limits = DerivativeLimits(first=0.5 * motor.model.velocity_max)
-    follow(motor, TrapezoidalTrajectory(way, limits=limits))
-    usual_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
-    motor.disable()
-    with motor.low_level():
-        bench.restart(motor)
-        rest_for(bench, _BACK_S)
-    expect(
-        motor.state() is not MotorState.ENABLED,
-        "restarted during low-level access: reported as enabled, but its power is off",
-    )
-    before = bench.true_position(motor)
-    motor.start()
-    took_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
-    expect_moved(bench, motor, before, way, "restarted during low-level access", 2.0)
-    most_s = bench.facts.time_tolerance_s
-    expect(
-        abs(took_s - usual_s) <= most_s,
-        f"restarted during low-level access: the same move took {took_s:.3f} s; expected"
-        f" {usual_s:.3f} s within {most_s:g} s",
-    )

@@ -28,9 +28,11 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    LimitError,
     MotorState,
 )
 
+_NEARLY = 0.9
 _PUSH_S = 0.25
 
 
@@ -118,6 +120,40 @@ def torque_setpoint_overcomes_smaller_load(bench: RigProtocol) -> None:
             bench.load(motor, 0.0)
             motor.stop()
             finish(bench, motor)
+
+
+@clause(
+    "SET-10",
+    Level.L1,
+    needs={Capability.TORQUE_SET_POINT},
+    bench={Ability.LOAD, Ability.TRUTH},
+    source="paper 3.3, Figure 4; CiA 402-2, 6072h, 60E0h, 60E1h; LimitError: the drive would clip",
+)
+def large_torque_is_made_or_refused(bench: RigProtocol) -> None:
+    """Up to the model's limit, a torque set-point is made or refused, but never made smaller."""
+    motor = bench.motor
+    motor.enable()
+    for share in (0.8, -0.9, 1.0):
+        asked = torque_of(motor, share)
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.TORQUE)
+        motor.set_setpoint(asked)
+        bench.load(motor, _NEARLY * asked)
+        try:
+            motor.start()
+        except LimitError:
+            bench.load(motor, 0.0)
+            continue
+        finish(bench, motor)
+        moved = speed(bench, motor, _PUSH_S)
+        bench.load(motor, 0.0)
+        motor.stop()
+        finish(bench, motor)
+        yielded = -moved * _PUSH_S if asked > 0.0 else moved * _PUSH_S
+        expect(
+            yielded <= bench.facts.window,  # friction may hold it
+            f"{asked:g} N·m was accepted, but a load of {_NEARLY * asked:g} N·m moved the motor at"
+            f" {moved:g} {motor.model.unit}/s",
+        )
 
 
 @clause(

@@ -1,5 +1,7 @@
 """L1: trajectories are followed at every instant."""
 
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -43,6 +45,7 @@ _AFTER_S = 0.2
 _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SOON_S = 0.02
+_LED_S = 2.0
 _FEW_S = 0.02  # a few samples
 
 
@@ -168,6 +171,60 @@ def complex_trajectory_is_followed(bench: RigProtocol) -> None:
     expect_tracks(bench, samples, wanted, "a complex trajectory")
     straight = trapezoid(wanted(duration_s), duration_s, model.acceleration_max, model.deceleration)
     reached(worst_deviation(bench, samples, straight) > bench.facts.following, "a curved motion")
+
+
+@clause(
+    "TRAJ-10",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, boundary conditions; 3.2, the model's acceleration and deceleration",
+)
+def complex_trajectory_is_led_in_within_limits(bench: RigProtocol) -> None:
+    """A motor a little beside the beginning of a complex trajectory is led there, or takes it."""
+    from motorhil.motorapi.functions import Polynomial
+
+    motor, model = bench.motor, bench.motor.model
+    reach = 0.8 * model.start_tolerance
+    if reach <= 3.0 * bench.facts.following:
+        raise NotApplicable("model.start_tolerance is too small to see a motion within it")
+    motor.enable()
+    way = 0.1 * long_move(bench)
+    time_s = max(_LED_S, 8.0 * shortest_s(motor, way))  # slow: the lead-in takes whole periods
+    lead_s = shortest_s(motor, reach)
+    for away in (reach, -reach):
+        cubic = (motor.position() + away, 0.0, 3.0 * way / time_s**2, -2.0 * way / time_s**3)
+        before = position_of(bench, motor)
+        try:
+            follow(motor, ComplexTrajectory(Polynomial(cubic).restricted(0.0, time_s)))
+        except StateError:
+            raise NotApplicable("complex trajectories are refused from elsewhere") from None
+        sampled = sample_positions(bench, motor, lead_s + time_s + _AFTER_S)
+        finish(bench, motor)
+        samples = [(at_s, at - before) for at_s, at in sampled]
+        step = _led(0.0, way, time_s, partial(_held, away))
+        late = [one for one in samples if one[0] > _AFTER_S]
+        if worst_deviation(bench, late, step) <= max(bench.facts.following, bench.facts.window):
+            continue  # its control evens out the difference
+        lead = trapezoid(away, lead_s, model.acceleration_max, model.deceleration)
+        wanted = _led(lead_s, way, time_s, lead)
+        expect_tracks(bench, samples, wanted, "a complex trajectory, led in")
+
+
+def _held(away: float, _at_s: float) -> float:
+    return away
+
+
+def _led(
+    lead_s: float, way: float, time_s: float, lead: Callable[[float], float]
+) -> Callable[[float], float]:
+    """Return the position over time of a cubic step after a lead-in."""
+
+    def position(at_s: float) -> float:
+        s = min(max((at_s - lead_s) / time_s, 0.0), 1.0)
+        return lead(at_s) + way * s**2 * (3.0 - 2.0 * s)
+
+    return position
 
 
 @clause(

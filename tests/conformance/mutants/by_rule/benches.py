@@ -10,7 +10,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-VARIANTS: Final = ("linear axis", "inverted polarity", "brakes gently", "only pp")
+VARIANTS: Final = (
+    *("linear axis", "inverted polarity", "inverted velocities", "brakes gently", "only pp"),
+    *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
+    *("torque limit in the drive", "units of the drive", "PDOs without identifiers", "no RPDOs"),
+)
 _OF: Final = "cia402: "
 _DRIVE: Final = "drive: "
 

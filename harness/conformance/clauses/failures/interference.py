@@ -1,0 +1,228 @@
+"""L2 and L5: interference by other programs on the bus, and by loads too large for the motor."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import Final
+
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    MOVING_S,
+    aim,
+    expect_group_moved,
+    expect_moved,
+    expect_raises,
+    expect_rest,
+    expect_state,
+    expect_unmoved,
+    expect_usable,
+    failure_of,
+    finish,
+    finish_group,
+    follow,
+    is_over_soon,
+    long_move,
+    pair_of,
+    position_of,
+    reached,
+    rest_for,
+    shortest_s,
+    smooth_move,
+    torque_of,
+    until_rest_s,
+)
+from motorhil.harness.conformance.clauses.tracks import positions_of
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.motorapi import (
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    Motor,
+    MotorState,
+    TrapezoidalTrajectory,
+    UsageError,
+)
+
+_SIGNALS: Final = 10
+_HEARD_S: Final = 0.3
+_OVERLOADS: Final = (3.0, 20.0)  # of the largest torque
+_GIVES_UP_S: Final = 3.0
+
+
+def _clock_period_s(bench: RigProtocol) -> float:
+    """Return the period of the host's clock signal in a streamed motion [s].
+
+    Raises:
+        NotApplicable: there is no such signal.
+    """
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    motor.enable()
+    with bench.clock() as times_ns:
+        follow(motor, smooth_move(motor, way))
+        finish(bench, motor)
+    if len(times_ns) < _SIGNALS:
+        raise NotApplicable("streamed motions use no clock signal on the bus")
+    return _median_s(times_ns)
+
+
+def _median_s(times_ns: Sequence[int]) -> float:
+    steps = sorted(later - earlier for earlier, later in pairwise(times_ns))
+    return steps[len(steps) // 2] / 1e9
+
+
+@clause(
+    "CLOCK-01",
+    Level.L5,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH, Ability.CLOCK, Ability.AFRESH},
+    source="CiA 301, 7.2.5: one SYNC producer on a bus; UsageError, SYNC runs with another period",
+)
+def clock_of_another_program_is_followed(bench: RigProtocol) -> None:
+    """If another program produces the clock signal, streams use it, or refuse its period."""
+    period_s, way = _clock_period_s(bench), 0.2 * long_move(bench)
+    bench.afresh()
+    motor = bench.motor
+    with bench.another_clock(period_s), bench.clock() as own_ns:
+        rest_for(bench, _HEARD_S)
+        motor.enable()
+        for _ in range(2):
+            before = bench.true_position(motor)
+            follow(motor, smooth_move(motor, way))
+            finish(bench, motor)
+            expect_moved(bench, motor, before, way, "clocked by another program")
+        if Ability.SECOND_MOTOR in bench.abilities:
+            group = pair_of(bench, way, way)
+            places = positions_of(bench, group)
+            group.start()
+            finish_group(bench, group)
+            expect_group_moved(bench, group, places, (way, way), "clocked by another program")
+        expect(not own_ns, f"beside another producer, the host sent {len(own_ns)} clock signals")
+    bench.afresh()
+    motor = bench.motor
+    with bench.another_clock(2.0 * period_s):
+        rest_for(bench, _HEARD_S)
+        before = bench.true_position(motor)
+        expect_raises(
+            UsageError,
+            partial(_enabled_stream, motor, way),
+            "a stream was started, though another program clocks the bus with twice the period",
+        )
+        rest_for(bench, _HEARD_S)
+        expect_unmoved(bench, motor, before, "refused for the period of another program's clock")
+
+
+def _enabled_stream(motor: Motor, way: float) -> None:
+    motor.enable()
+    follow(motor, smooth_move(motor, way))
+
+
+@clause(
+    "CLOCK-02",
+    Level.L5,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH, Ability.CLOCK, Ability.AFRESH},
+    source="CiA 301, 7.2.5: one SYNC producer on a bus; errors, LinkError; dead-man",
+)
+def stream_with_two_clocks_or_none_fails(bench: RigProtocol) -> None:
+    """If a second clock signal appears, or the other program's ends, a stream fails and stops."""
+    if is_over_soon(bench):
+        raise NotApplicable("no room for a long motion: long_move is too short")
+    period_s, way = _clock_period_s(bench), 2.0 * long_move(bench)
+    for what in ("a second clock signal", "the end of the clock signal"):
+        bench.afresh()
+        motor = bench.motor
+        if what.startswith("a second"):
+            motor.enable()
+            follow(motor, smooth_move(motor, way))
+            rest_for(bench, MOVING_S)
+            with bench.another_clock(period_s):
+                _expect_link_error(bench, motor, what)
+        else:
+            with bench.another_clock(period_s):
+                rest_for(bench, _HEARD_S)
+                motor.enable()
+                follow(motor, smooth_move(motor, way))
+                rest_for(bench, MOVING_S)
+            _expect_link_error(bench, motor, what)
+        expect_usable(bench, motor, f"after {what}")
+
+
+def _expect_link_error(bench: RigProtocol, motor: Motor, what: str) -> None:
+    within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
+    error = failure_of(partial(motor.wait_until_done, within_s))
+    expect(
+        isinstance(error, LinkError | DeviceFault),
+        f"{what} in a stream: expected LinkError within {within_s:g} s, got {error!r}",
+    )
+    rest_for(bench, until_rest_s(bench, motor))
+    expect_rest(bench, motor, f"after {what} in a stream")
+
+
+@clause(
+    "OTHER-01",
+    Level.L5,
+    needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
+    bench={Ability.OTHER_PROGRAM},
+    source="errors, MotionInterrupted: another program, or the drive, has ended the motion",
+)
+def motion_stopped_by_another_program_is_not_done(bench: RigProtocol) -> None:
+    """If another program stops a drive in a motion, the wait says so; the motor is usable."""
+    if is_over_soon(bench):
+        raise NotApplicable("no room for a long motion: long_move is too short")
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    begins: tuple[tuple[str, Callable[[float], None]], ...] = (
+        ("a trajectory", lambda way: follow(motor, TrapezoidalTrajectory(way))),
+        ("a set-point", lambda way: aim(motor, way, relative=True)),
+    )
+    for what, begin in begins:
+        before = position_of(bench, motor)
+        begin(way)
+        rest_for(bench, MOVING_S)
+        bench.stop_from_elsewhere(motor)
+        rest_for(bench, until_rest_s(bench, motor))
+        moved = abs(position_of(bench, motor) - before)
+        reached(moved < abs(way) - bench.facts.window, "a stop by another program")
+        error = failure_of(partial(finish, bench, motor, shortest_s(motor, way)))
+        expect(
+            isinstance(error, MotionInterrupted),
+            f"{what} was stopped by another program, but the wait ended with {error!r}",
+        )
+        expect_rest(bench, motor, f"{what} stopped by another program")
+        expect_usable(bench, motor, f"after {what} stopped by another program")
+        way = -way
+
+
+@clause(
+    "OVER-01",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY, Capability.FAULTS},
+    bench={Ability.LOAD, Ability.TRUTH, Ability.AFRESH},
+    source="CiA 402-2, following error (6065h, 6066h); Motor.wait_until_done: DeviceFault",
+)
+def overloaded_motor_is_reported(bench: RigProtocol) -> None:
+    """If a load keeps a motor from following, its motion fails, and is never reported as done."""
+    way = long_move(bench)
+    for share in _OVERLOADS:
+        bench.afresh()
+        motor = bench.motor
+        motor.enable()
+        before = bench.true_position(motor)
+        follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, 0.3 * shortest_s(motor, way))
+        bench.load(motor, torque_of(motor, share))
+        error = failure_of(partial(finish, bench, motor, shortest_s(motor, way) + _GIVES_UP_S))
+        made = bench.true_position(motor) - before
+        if error is None and abs(made - way) <= bench.facts.window:
+            continue  # it is stronger than its model says
+        expect(
+            isinstance(error, DeviceFault),
+            f"overloaded, it moved {made:g} of {way:g} {motor.model.unit}, and the wait ended with"
+            f" {error!r}; expected DeviceFault",
+        )
+        expect_state(motor, MotorState.FAULT, "overloaded")
+        bench.load(motor, 0.0)
+        rest_for(bench, until_rest_s(bench, motor))
+        expect_usable(bench, motor, "after an overload")
+        return
+    raise NotApplicable("the motor overcomes many times the largest torque of its model")

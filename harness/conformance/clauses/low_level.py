@@ -1,0 +1,216 @@
+"""L2 and L5: low-level access, and the hardware object that it gives."""
+
+from collections.abc import Callable
+from functools import partial
+from inspect import Parameter, signature
+from typing import Any, Final
+
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    expect_at,
+    expect_moved,
+    expect_raises,
+    expect_speed,
+    expect_state,
+    finish,
+    follow,
+    long_move,
+    move,
+    rest_for,
+    shortest_s,
+    turn,
+)
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.motorapi import (
+    DerivativeLimits,
+    Motor,
+    MotorBusyError,
+    MotorState,
+    StateError,
+    TrapezoidalTrajectory,
+)
+
+_BACK_S: Final = 1.0
+_SLOW: Final = 3.0
+_LOOK_S: Final = 0.2
+_DEVICE_TYPE, _IDENTITY, _HEARTBEAT = 0x1000, 0x1018, 0x1017  # CiA 301
+
+
+@clause(
+    "LOW-01",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    source="requirement 2: no other part of the interface will have any effect",
+)
+def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
+    """Low-level access is exclusive; when it ends, the motor works as before."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    origin = motor.position()
+    move(bench, motor, way)
+    for _ in range(2):
+        motor.disable()  # a servo loop on the host would have to send meanwhile
+        with motor.low_level() as hardware:
+            expect(hardware is not None, "low-level access: the hardware object is None")
+            for operation in (motor.start, motor.stop, motor.disable):
+                what = f"{operation.__name__}() was accepted during low-level access"
+                expect_raises(MotorBusyError, operation, what)
+            rest_for(bench, 0.3)
+    expect_at(bench, motor, origin + way, "after unused low-level access")
+    move(bench, motor, way)
+    expect_at(bench, motor, origin + 2.0 * way, "moved after low-level access")
+
+
+@clause(
+    "LOW-02",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.VELOCITY_SET_POINT},
+    bench={Ability.TRUTH},
+    source="requirement 2; Motor.low_level: StateError, a motion of this motor is active",
+)
+def low_level_access_requires_rest(bench: RigProtocol) -> None:
+    """Low-level access is refused while the motor moves; the motion continues undisturbed."""
+    motor = bench.motor
+    asked = 0.3 * motor.model.velocity_max
+    turn(motor, asked)
+    finish(bench, motor, 2.0)
+    rest_for(bench, 0.1)
+    expect_raises(
+        (MotorBusyError, StateError),
+        partial(_open_and_close, motor),
+        "low-level access was granted while the motor moves",
+    )
+    expect_speed(bench, motor, asked, 0.3, "low-level access refused")
+    motor.stop()
+    finish(bench, motor)
+
+
+def _open_and_close(motor: Motor) -> None:
+    with motor.low_level():
+        pass
+
+
+@clause(
+    "LOW-03",
+    Level.L5,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.RESTART},
+    source="Motor.low_level: afterwards nothing is assumed, the next start writes all its settings",
+)
+def changes_in_low_level_access_are_noticed(bench: RigProtocol) -> None:
+    """If low-level access lost all settings of a drive, the next motion is as before."""
+    motor, way = bench.motor, 0.3 * long_move(bench)
+    limits = DerivativeLimits(first=0.5 * motor.model.velocity_max)
+    follow(motor, TrapezoidalTrajectory(way, limits=limits))
+    usual_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
+    motor.disable()
+    with motor.low_level():
+        bench.restart(motor)
+        rest_for(bench, _BACK_S)
+    expect(
+        motor.state() is not MotorState.ENABLED,
+        "restarted during low-level access: reported as enabled, but its power is off",
+    )
+    before = bench.true_position(motor)
+    motor.start()
+    took_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
+    expect_moved(bench, motor, before, way, "restarted during low-level access", 2.0)
+    most_s = bench.facts.time_tolerance_s
+    expect(
+        abs(took_s - usual_s) <= most_s,
+        f"restarted during low-level access: the same move took {took_s:.3f} s; expected"
+        f" {usual_s:.3f} s within {most_s:g} s",
+    )
+
+
+def _simple(hardware: Any, name: str) -> Callable[[], object]:
+    """Return the method of the hardware object of this name.
+
+    Raises:
+        NotApplicable: there is none that needs no arguments.
+    """
+    method: Callable[[], object] | None = getattr(hardware, name, None)
+    if method is None:
+        raise NotApplicable(f"the hardware object has no {name}()")
+    if any(
+        one.default is Parameter.empty and one.kind is not Parameter.VAR_POSITIONAL
+        for one in signature(method).parameters.values()
+    ):
+        raise NotApplicable(f"{name}() of the hardware object needs arguments")
+    return method
+
+
+@clause(
+    "LOW-04",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    source="Motor.low_level: the hardware object is for this thread; requirement 2 of the paper",
+)
+def hardware_object_does_what_it_is_told(bench: RigProtocol) -> None:
+    """In low-level access, the hardware object enables, stops and disables the motor."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, way)
+    for _ in range(2):
+        motor.disable()
+        with motor.low_level() as hardware:
+            enable, disable = _simple(hardware, "enable"), _simple(hardware, "disable")
+            enable()
+            for name in ("halt", "quick_stop"):
+                stop = getattr(hardware, name, None)
+                if stop is not None:
+                    stop()
+                    rest_for(bench, _LOOK_S)
+                    enable()
+            rest_for(bench, _LOOK_S)
+        expect_state(motor, MotorState.ENABLED, "the hardware object was enabled")
+        with motor.low_level():
+            disable()
+            rest_for(bench, _LOOK_S)
+        expect_state(motor, MotorState.DISABLED, "the hardware object was disabled")
+        before = motor.position()
+        move(bench, motor, way)
+        expect_at(bench, motor, before + way, "moved after the hardware object was used")
+
+
+@clause(
+    "LOW-05",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    source="CiA 301, 1000h, 1017h, 1018h; paper 3.5, one hardware object, shared by all",
+)
+def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
+    """Objects of a CANopen node are read and written as addressed, and not during a motion."""
+    motor, way = bench.motor, 0.5 * long_move(bench)
+    move(bench, motor, 0.1 * way)
+    motor.disable()
+    with motor.low_level() as found:
+        hardware: Any = found
+        if not all(hasattr(hardware, name) for name in ("upload", "download", "read", "write")):
+            raise NotApplicable("the hardware object has no objects of CANopen")
+        for index, subindex in ((_DEVICE_TYPE, 0), (_IDENTITY, 1)):
+            data, value = hardware.upload(index, subindex), hardware.read(index, subindex)
+            expect(
+                int.from_bytes(data, "little") == value,
+                f"{index:04X}h:{subindex}: read() is {value}, but upload() is {data.hex(' ')}",
+            )
+        period_ms = hardware.read(_HEARTBEAT)
+        for written_ms in (period_ms + 1, period_ms):
+            hardware.write(_HEARTBEAT, written_ms)
+            _expect_period(hardware, written_ms, "write()")
+            hardware.download(_HEARTBEAT, 0, (written_ms + 2).to_bytes(2, "little"))
+            _expect_period(hardware, written_ms + 2, "download()")
+        hardware.write(_HEARTBEAT, period_ms)
+    follow(motor, TrapezoidalTrajectory(way))
+    for what, operation in (
+        ("write()", partial(hardware.write, _HEARTBEAT, period_ms)),
+        ("download()", partial(hardware.download, _HEARTBEAT, 0, period_ms.to_bytes(2, "little"))),
+        ("send_frame()", partial(hardware.send_frame, 0)),
+    ):
+        from_elsewhere = f"{what} of the hardware object was accepted while its motor moves"
+        expect_raises(MotorBusyError, operation, from_elsewhere)
+    finish(bench, motor, shortest_s(motor, way))
+
+
+def _expect_period(hardware: Any, wanted_ms: int, what: str) -> None:
+    found = hardware.read(_HEARTBEAT)
+    expect(found == wanted_ms, f"{what} of {wanted_ms} to 1017h: it is {found}")
