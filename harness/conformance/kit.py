@@ -12,6 +12,7 @@ from motorhil.harness.conformance.clause import Clause, Level, registered
 
 _MODULES: Final = (
     "identity",
+    "messages",
     "motion.measurements",
     "motion.setpoints",
     "motion.trajectories",
@@ -20,7 +21,9 @@ _MODULES: Final = (
     "motion.stopping",
     "failures.faults",
     "sharing",
+    "processes",
     "groups",
+    "traffic",
     "failures.communication_loss",
     "failures.bus_errors",
 )
