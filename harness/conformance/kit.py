@@ -23,6 +23,7 @@ _MODULES: Final = (
     "sharing",
     "processes",
     "groups",
+    "coordination",
     "traffic",
     "failures.communication_loss",
     "failures.bus_errors",

@@ -4,14 +4,14 @@ The bounds on a common start are made of these. The theory is computed here once
 and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 2013 for FIFO queues.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
+from math import ceil
 from random import Random
 from typing import Any, Final, final
 
-from motorhil.emulators.can.frame import BRS, pack, pack_fd
-from motorhil.emulators.can.frame_length import LENGTHS_MASK, arbitration_key, measure, phases_of
 from motorhil.harness.conformance.bench import RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import expect_raises
@@ -40,10 +40,13 @@ _RATES: Final = (125_000, 500_000, 1_000_000)
 _LOADS: Final = 60
 _RECOVERY_BITS: Final = 31
 _INTERMISSION_BITS: Final = 3
-_RUNS: Final = (*(0x0F, 0x1E, 0x3C, 0x78, 0xF0, 0xE1, 0xC3, 0x87), *(0x55, 0xAA, 0x00, 0xFF))
-"""Bytes with as many stuff bits as possible, or as few, wherever the runs of the header end."""
-_STUFF_AT_MOST: Final = 7
-"""Stuff bits of the bound that no frame of these bytes attains, at most."""
+_HEAD: Final = {(False, False): 34, (False, True): 54, (True, False): 22, (True, True): 41}
+"""Bits subject to stuffing without data, by (FD, extended): up to the CRC, of FD up to the DLC."""
+_TAIL: Final = 13  # delimiters, ACK, end of frame, intermission
+_FD_CRC: Final = (27, 32)  # stuff count, CRC and fixed stuff bits; of up to 16 bytes, and of more
+_FD_SHORT: Final = 16
+_FD_NOMINAL: Final = (17, 36)  # up to BRS
+_FD_STUFF: Final = (3, 8)  # stuff bits that can come before BRS
 _ROUNDING_S: Final = 1e-12
 
 
@@ -282,43 +285,39 @@ def _expect_verdicts(load: BusLoad, errors: ErrorModel, told: Sequence[Response]
 
 
 @clause("TIME-02", Level.L4, source="ISO 11898-1: frames, bit stuffing; ISO 11898-1:2015, CAN FD")
-def frame_lengths_bound_real_frames(_: RigProtocol) -> None:
-    """No CAN frame is longer or shorter than its bounds, and some come near."""
-    for extended, top in ((False, 0x7FF), (True, 0x1FFF_FFFF)):
-        flag = 1 << 31 if extended else 0
-        identifiers = [flag | int.from_bytes(bytes([one]) * 4) & top for one in _RUNS]
-        for fd, switched in ((False, False), (True, False), (True, True)):
-            for length in FD_LENGTHS if fd else range(9):
-                most, least = (
-                    bound(length, extended=extended, fd=fd, switched=switched)
-                    for bound in (longest, shortest)
-                )
-                datas = [bytes([one]) * length for one in _RUNS]
-                frames = (
-                    pack_fd(one, data, BRS if switched else 0) if fd else pack(one, data)
-                    for one in identifiers
-                    for data in datas
-                )
-                _expect_near(frames, most, least)
+def frame_lengths_are_those_of_fields(_: RigProtocol) -> None:
+    """Bounds of the lengths of CAN frames are sums of their fields, without or with stuffing."""
+    for extended, fd, switched in product((False, True), repeat=3):
+        if switched and not fd:
+            continue
+        for length in FD_LENGTHS if fd else range(9):
+            head = _HEAD[fd, extended]
+            stuffed = head + 8 * length
+            stuff = (stuffed - 1) // 4
+            crc = 0
+            if fd:
+                crc = _FD_CRC[0] if length <= _FD_SHORT else _FD_CRC[1]
+            for bound, most in ((longest, True), (shortest, False)):
+                found = bound(length, extended=extended, fd=fd, switched=switched)
+                wanted = (stuffed + crc + _TAIL + (stuff if most else 0), 0)
+                if switched:
+                    nominal = _FD_NOMINAL[extended] + _TAIL
+                    nominal += _FD_STUFF[extended] if most else 0
+                    wanted = (nominal, wanted[0] - nominal)
+                what = f"{bound.__name__}({length}), {extended=}, {fd=}, {switched=}"
+                told = (found.nominal, found.data)
+                expect(told == wanted, f"{what}: {told} bits; expected {wanted}")
+                _expect_times(found)
 
 
-def _expect_near(frames: Iterable[bytes], most: Bits, least: Bits) -> None:
-    """Check that these frames, some with many stuff bits, are near both bounds."""
-    phases = [phases_of(measure(frame) & LENGTHS_MASK) for frame in frames]
-    totals = [sum(one) for one in phases]
-    what = f"frames of {min(totals)} to {max(totals)} bits; the bounds are {least} and {most}"
-    spare = most.nominal + most.data - max(totals)
-    expect(0 <= spare <= _STUFF_AT_MOST, what)
-    expect(0 <= min(totals) - least.nominal - least.data <= 1, what)
-    at_data_rate = [data for _, data in phases]
-    expect(least.data <= min(at_data_rate) and max(at_data_rate) <= most.data + 1, what)
-    nominal = [bits for bits, _ in phases]
-    expect(0 <= most.nominal - max(nominal) <= _STUFF_AT_MOST, what)
+def _expect_times(bits: Bits) -> None:
     for rate, data_rate in ((500_000, None), (333_000, 2_000_000)):
-        nominal_ns = -(-(most.nominal + (0 if data_rate else most.data)) * 10**9 // rate)
-        data_ns = -(-most.data * 10**9 // data_rate) if data_rate else 0
-        takes_ns = most.time_ns(rate, data_rate)
-        expect(takes_ns == nominal_ns + data_ns, f"{most} take {takes_ns} ns at {rate} bit/s")
+        whole = bits.nominal + (0 if data_rate else bits.data)
+        wanted_ns = ceil(whole * 10**9 / rate)
+        if data_rate is not None:
+            wanted_ns += ceil(bits.data * 10**9 / data_rate)
+        takes_ns = bits.time_ns(rate, data_rate)
+        expect(takes_ns == wanted_ns, f"{bits} take {takes_ns} ns; expected {wanted_ns} ns")
 
 
 @clause("TIME-03", Level.L4, source="Davis et al. 2007: one sender an identifier, least period")
@@ -373,11 +372,16 @@ def _expect_ranks() -> None:
     """Check that ranks have the order of arbitration."""
     senders = [(one, False) for one in (0, 1, 0x7F, 0x7FF)]
     senders += [(one, True) for one in (0, 1, (1 << 18) - 1, 1 << 18, 0x7F << 18 | 5, 0x1FFF_FFFF)]
-    by_bus = sorted(
-        senders, key=lambda one: arbitration_key(pack(one[0] | (1 << 31 if one[1] else 0)))
-    )
+    by_bus = sorted(senders, key=lambda one: _arbitration(*one))
     by_rank = sorted(senders, key=lambda one: rank_of(one[0], extended=one[1]))
     expect(by_rank == by_bus, f"the order of identifiers is {by_rank}; on the bus {by_bus}")
+
+
+def _arbitration(identifier: int, extended: bool) -> str:
+    """Return the bits of arbitration: identifier, RTR or SRR, IDE, rest of the identifier."""
+    if extended:
+        return f"{identifier >> 18:011b}11{identifier & 0x3FFFF:018b}"
+    return f"{identifier:011b}00"
 
 
 _MESSAGE: Final[dict[str, Any]] = {"can_id": 0x7FF, "length": 8, "period_s": 0.1}
