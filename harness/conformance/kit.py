@@ -16,6 +16,7 @@ _MODULES: Final = (
     "motion.measurements",
     "motion.setpoints",
     "motion.trajectories",
+    "motion.profiles",
     "motion.starting",
     "motion.limits",
     "motion.stopping",

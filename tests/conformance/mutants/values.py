@@ -1,4 +1,4 @@
-"""Mistakes with models, errors, commands and declared traffic, which are values."""
+"""Mistakes with models, errors, commands, profiles and declared traffic, which are values."""
 
 from dataclasses import replace
 from unittest.mock import patch
@@ -8,6 +8,7 @@ from motorhil.motorapi import model
 from motorhil.motorapi.commands import DerivativeLimits
 from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.planning import functions, single_axis
 from motorhil.motorapi.synchronization.bus_load import CanTraffic
 from tests.conformance.mutants import mutant, replaced
 
@@ -96,4 +97,33 @@ def a_sync_that_does_not_count():
         return lambda declared, own, sync_period_s, *more: with_own(declared, own, None, *more)
 
     with replaced(CanTraffic, "with_own", wrong):
+        yield
+
+
+@mutant("ideal", "TRAJ-10")
+def one_limit_for_both_directions():
+    """A ramp in the negative direction has the limit of the positive one."""
+    with replaced(single_axis, "_towards", lambda _: lambda limit, direction: limit[1]):
+        yield
+
+
+@mutant("ideal", "TRAJ-11")
+def a_jerk_limit_that_is_twice_as_large():
+    """A limit of the third derivative counts twice."""
+
+    def wrong(bend_of):
+        def twice(*what):
+            bend = bend_of(*what)
+            return None if bend is None else 2.0 * bend
+
+        return twice
+
+    with replaced(functions, "bend_of", wrong):
+        yield
+
+
+@mutant("ideal", "TRAJ-12")
+def a_limit_that_nobody_sees():
+    """After a final velocity, no position limit brakes the motor."""
+    with replaced(functions, "_rest_at", lambda _: lambda *what: None):
         yield
