@@ -52,6 +52,8 @@ def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
         motor.disable()  # a servo loop on the host would have to send meanwhile
         with motor.low_level() as hardware:
             expect(hardware is not None, "low-level access: the hardware object is None")
+            with motor.low_level() as again:
+                expect(again is hardware, "a block within low-level access has another object")
             for operation in (motor.start, motor.stop, motor.disable):
                 what = f"{operation.__name__}() was accepted during low-level access"
                 expect_raises(MotorBusyError, operation, what)

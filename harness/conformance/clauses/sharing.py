@@ -41,6 +41,7 @@ from motorhil.motorapi import (
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
+    UsageError,
 )
 
 _SHARED = {Ability.SEVERAL_USERS}
@@ -544,3 +545,57 @@ def _rig_of(bench: RigProtocol) -> Any:
     motor, other = bench.motor, bench.another_user_of(bench.motor)
     motors = {motor.name: motor, other.name: other}
     return SimpleNamespace(runtime=bench.runtime, motors=motors, close=lambda: None)
+
+
+@clause(
+    "SHARE-14",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="Motor.reserve, Motor.start: MotorBusyError names the holder; UsageError",
+)
+def refusal_names_who_is_next(bench: RigProtocol) -> None:
+    """Invalid requests are refused; during a wait, all others learn who waits for the motor."""
+    motor, other = _both(bench)
+    wrong: tuple[dict[str, Any], ...] = (
+        *({"lease_s": one} for one in (0.0099, 1.1e6, True, "1", float("nan"))),
+        *({"take_over": 1}, {"purpose": None}, {"timeout_s": -1e-9}, {"timeout_s": "1"}),
+    )
+    for how in wrong:
+        arguments = ", ".join(f"{name}={value!r}" for name, value in how.items())
+        reserve = partial(motor.reserve, **how)
+        expect_raises(UsageError, partial(_enter, reserve), f"reserve({arguments})")
+    for lease_s in (0.01, 1e6):
+        with motor.reserve("survey", lease_s=lease_s) as reservation:
+            (claim,) = reservation.claims
+            expect(claim.lease_s == lease_s, f"a lease of {claim.lease_s} s, not {lease_s} s")
+    tokens = []
+    for user in (motor, other, motor):
+        with user.reserve("survey") as reservation:
+            tokens.append(reservation.token)
+            with user.reserve("inner") as inner:
+                expect(inner.token == reservation.token, "an inner reservation has a new token")
+            expect(reservation.is_held, "an inner block gave the outer reservation back")
+    expect(tokens == sorted(set(tokens)), f"tokens {tokens} do not grow")
+    way = long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+
+    def start_next() -> None:
+        _prepare(other, -way)
+        other.start(timeout_s=_PATIENCE_S)
+
+    party = bench.runtime.spawn("next", start_next)
+    rest_for(bench, 0.2 * shortest_s(motor, way))
+    error = _refusal_of(motor.reset_fault)
+    expect(
+        error is not None and error.motor == motor.name and other.name in error.holder,
+        f"while {other.name} waits, reset_fault() of {motor.name}: {error}",
+    )
+    finish(bench, motor, shortest_s(motor, way))
+    expect(party.join(_PATIENCE_S) and party.error is None, f"{other.name}: {party.error!r}")
+    finish(bench, other, shortest_s(motor, way))
+
+
+def _enter(reserve: Callable[[], Any]) -> None:
+    with reserve():
+        pass

@@ -4,6 +4,6 @@ from importlib import import_module
 
 NAMES = (
     *("access", "commands", "disturbed", "ends", "failures", "groups", "interference"),
-    *("lost", "refusals", "sharing", "stops", "units"),
+    *("lost", "programs", "refusals", "sharing", "stops", "units", "values"),
 )
 MODULES = tuple(import_module(f"tests.conformance.mutants.{name}") for name in NAMES)

@@ -2,11 +2,14 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from unittest.mock import patch
 
 from motorhil.motorapi import MotorGroup, Synchronization, execution, group
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.errors import MotorError, UsageError
 from motorhil.motorapi.group import CommonMotion
+from motorhil.motorapi.ownership.reservation import Reservation
+from motorhil.motorapi.planning.path import PathWatch
 from tests.conformance.mutants import mutant, replaced
 from tests.support.sharing.mutants import a_group_that_starts_before_all_are_armed
 
@@ -219,4 +222,92 @@ def who_can_start_starts():
         return started
 
     with replaced(group, "start_together", wrong):
+        yield
+
+
+@mutant("ideal", "SYNC-13")
+def a_deviation_that_is_the_last():
+    """The deviation from the path is that of the last look, and not the largest."""
+
+    def wrong(compare):
+        def forgetful(watch, at_ns):
+            watch._worst.clear()
+            compare(watch, at_ns)
+
+        return forgetful
+
+    with replaced(PathWatch, "_compare", wrong):
+        yield
+
+
+@mutant("ideal", "SYNC-14")
+def a_group_that_keeps_its_commands():
+    """After refused trajectories, members keep the commands before them."""
+
+    def wrong(set_trajectory):
+        def kept(motors, *trajectories):
+            before = [motor.logical.command for motor in motors]
+            try:
+                set_trajectory(motors, *trajectories)
+            except MotorError:
+                for motor, command in zip(motors, before, strict=True):
+                    motor.logical.command = command
+                raise
+
+        return kept
+
+    with replaced(MotorGroup, "set_trajectory", wrong):
+        yield
+
+
+@mutant("ideal", "SYNC-15")
+def a_reservation_held_by_its_first_member():
+    """A reservation of a group is held as long as that of its first member."""
+    first = property(lambda reservation: reservation.claims[0].is_held)
+    with patch.object(Reservation, "is_held", first):
+        yield
+
+
+@mutant("ideal", "SYNC-16")
+def a_failure_without_a_name():
+    """The error of a member that was started alone does not name it."""
+
+    def wrong(stop_others):
+        def nameless(motors, failed, error):
+            stop_others(motors, failed, error)
+            error.__notes__.clear()
+
+        return nameless
+
+    with replaced(group, "stop_others", wrong):
+        yield
+
+
+@mutant("ideal", "SYNC-17")
+def a_common_stop_of_each_alone():
+    """Members that should stop along their path stop one by one, each as fast as it can."""
+
+    def one_by_one(_):
+        def stop(motors):
+            motors._end_motion()
+            for motor in motors:
+                motor.quick_stop()
+
+        return stop
+
+    with replaced(MotorGroup, "stop", one_by_one):
+        yield
+
+
+@mutant("ideal", "SYNC-18")
+def an_observer_that_is_told_twice():
+    """An observer is told of each start twice."""
+
+    def wrong(observe):
+        def twice(motors, told):
+            observe(motors, lambda quality: (told(quality), told(quality)))
+
+        return twice
+
+    with replaced(MotorGroup, "observe", wrong):
         yield

@@ -10,6 +10,7 @@ from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.logical_motor import LogicalMotor
+from motorhil.motorapi.ownership.ownership import WaitQueue
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
 from tests.support.sharing.mutants import a_lock_without_fifo, no_fencing
@@ -247,4 +248,19 @@ def requests_of_threads_are_mixed():
         replaced(TurnLock, "take", lambda _: lambda *_args: None),
         replaced(TurnLock, "give_back", lambda _: lambda *_args: None),
     ):
+        yield
+
+
+@mutant("ideal", "SHARE-14")
+def a_first_waiter_without_a_name():
+    """The error for a motor that others wait for names the one who asks."""
+
+    def wrong(busy):
+        def named(row, owner, policy):
+            error = busy(row, owner, policy)
+            return error and MotorBusyError(motor=error.motor, holder=owner.name, since_ns=0)
+
+        return named
+
+    with replaced(WaitQueue, "_busy", wrong):
         yield

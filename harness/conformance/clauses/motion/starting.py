@@ -409,7 +409,11 @@ def _expect_one_call(
 ) -> None:
     endings = ", ".join(outcome.ending.value for _, outcome in calls) or "nothing"
     expect([outcome.ending for _, outcome in calls] == [ending], f"notified: {endings}")
-    off_s = (calls[0][0] - at_ns) / 1e9
+    (called_ns, outcome), is_done = calls[0], ending is Ending.DONE
+    expect(bool(outcome) is is_done, f"{outcome!r} counts as {bool(outcome)}")
+    expect((outcome.error is None) is is_done, f"{outcome!r} has the error {outcome.error!r}")
+    expect(outcome.time_ns <= called_ns, f"{outcome!r} was told at {called_ns} ns")
+    off_s = (called_ns - at_ns) / 1e9
     expect(abs(off_s) <= tolerance_s, f"the end was notified {off_s:.3f} s late")
 
 

@@ -1,0 +1,341 @@
+"""L4: groups as a whole: members, commands, reservations, failures, common stops, deviations."""
+
+import warnings
+from functools import partial
+from itertools import product
+from math import hypot
+from typing import Any, Final
+
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
+    expect_group_moved,
+    expect_raises,
+    expect_rest,
+    expect_unmoved,
+    failure_of,
+    finish,
+    finish_group,
+    follow,
+    half_move,
+    midway_s,
+    pair_of,
+    position_of,
+    rest_for,
+    shortest_s,
+    trajectories_of,
+)
+from motorhil.harness.conformance.clauses.tracks import GroupPositions, positions_of
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.motorapi import (
+    ControlMode,
+    DerivativeLimits,
+    FaultReaction,
+    LimitError,
+    Motor,
+    MotorBusyError,
+    MotorGroup,
+    StateError,
+    Synchronization,
+    SyncQuality,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    UsageError,
+)
+
+_TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
+_MOVES = {Capability.POSITION_TRAJECTORY}
+_GROUP_S: Final = 10.0
+_PHASE: Final = Synchronization.PHASE
+
+
+@clause(
+    "SYNC-13",
+    Level.L4,
+    needs=_MOVES,
+    bench=_TWO,
+    source="requirement 5: feedback on the quality; PathDeviation.deviation, largest found",
+)
+def deviation_from_path_is_reported(bench: RigProtocol) -> None:
+    """If one member is stopped, the deviation from the path is reported as large as it was."""
+    way = half_move(bench)
+    for stopped, ways in ((0, (-0.5 * way, way)), (1, (way, -0.5 * way))):
+        duration_s = 4.0 * shortest_s(bench.motor, way)
+        group = pair_of(bench, *ways)
+        group.set_trajectory(*(TrapezoidalTrajectory(one, duration_s=duration_s) for one in ways))
+        group.synchronization = _PHASE
+        track = GroupPositions(bench, group)
+        group.start()
+        late, begun_ns = group[stopped], bench.runtime.now_ns()
+        rest_for(bench, 0.25 * duration_s)
+        late.stop()
+        finish(bench, late)
+        rest_for(bench, 0.2 * duration_s)
+        left = ways[stopped] - position_of(bench, late) + track.samples[0][1][stopped]
+        follow(late, TrapezoidalTrajectory(left))  # it is at its target before the other one
+        while elapsed_s(bench, begun_ns) < duration_s + 0.2:
+            rest_for(bench, 0.02)
+            for motor in group:
+                motor.position()  # a host that only polls when asked to hears of them now
+        track.end()
+        path = group.sync_quality().path
+        names = [one.motor for one in path]
+        expect(names == [motor.name for motor in group], f"deviations of {names}")
+        square = ways[0] ** 2 + ways[1] ** 2
+        begun = track.samples[0][1]
+        for place, one in enumerate(path):
+            worst = 0.0
+            for _, positions in track.samples:
+                gone = [at - was for at, was in zip(positions, begun, strict=True)]
+                part = (gone[0] * ways[0] + gone[1] * ways[1]) / square
+                worst = max(worst, abs(gone[place] - part * ways[place]))
+            if one.deviation is None or one.age_s is None:
+                expect(one.deviation is None and bool(one.source), f"{one}: no reason")
+                continue
+            expect(bool(one.source), f"{one}: no source")
+            late_s = bench.facts.latency_s[1] + 0.01 + one.age_s
+            expect(one.age_s <= 0.1, f"{one}: compared {one.age_s} s from a sample")
+            spare = 2.0 * bench.facts.following + late_s * bench.motor.model.velocity_max
+            expect(
+                abs(one.deviation - worst) <= spare,
+                f"{one.motor}: deviation {one.deviation:.6g} reported; {worst:.6g} measured",
+            )
+
+
+@clause(
+    "SYNC-14",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SEVERAL_USERS},
+    source="MotorGroup: members, commands and settings; UsageError, nothing was sent",
+)
+def impossible_groups_are_refused(bench: RigProtocol) -> None:
+    """A group refuses members, commands and settings that it cannot have, and does not move."""
+    first, second = bench.motors[:2]
+    way, empty = half_move(bench), MotorGroup()
+    group: Any = pair_of(bench, way, way)
+    for what, operation in (
+        ("start of an empty group", empty.start),
+        ("wait for an empty group", empty.wait_until_done),
+        ("the same motor again", partial(group.append, first)),
+        ("another user of a member", partial(group.append, bench.another_user_of(first))),
+        ("no motor", partial(group.append, 1)),
+        ("a motor that is no member", partial(MotorGroup(first).remove, second)),
+        ("an unknown synchronization", partial(setattr, group, "synchronization", "time")),
+        ("an unknown reaction", partial(setattr, group, "fault_reaction", "each")),
+        ("the quality of a group that was not started", group.sync_quality),
+        ("an unknown level", partial(group.start, require=1)),
+        ("a negative skew", partial(group.start, max_skew_s=-1e-9)),
+        ("a negative timeout", partial(group.start, -1.0)),
+        ("what is not callable", partial(group.for_each, "enable")),
+    ):
+        expect_raises(UsageError, operation, f"{what} was accepted")
+    expect([one.name for one in group] == [first.name, second.name], f"members: {group!r}")
+    expect(group[1] is second and len(group) == 2, f"members: {group!r}")
+    expect(repr(group) == f"<MotorGroup of 2: {first.name}, {second.name}>", f"shown as {group!r}")
+    names = group.for_each(lambda motor: motor.name)
+    expect(names == [first.name, second.name], f"results of for_each(): {names}")
+    before = positions_of(bench, group)
+    for ways in ((way,), (way, way, way), (way, 2.0 * (first.model.position_max or 1e9))):
+        group.set_trajectory(*trajectories_of(way, way))
+        lists = trajectories_of(*ways)
+        if len(ways) == 2:
+            lists[1] = TrapezoidalTrajectory(way, duration_s=1e-9)
+        expect_raises(UsageError, partial(group.set_trajectory, *lists), f"{ways} was accepted")
+        for motor in group:
+            expect_raises(StateError, motor.start, f"{motor.name}: its old command was kept")
+    _expect_durations(bench, group, way)
+    error = failure_of(partial(group.for_each, Motor.set_setpoint, 1.0))
+    notes = "" if error is None else " ".join(error.__notes__)
+    expect(f"from {first.name}, member 1 of 2" in notes, f"for_each() failed with {error}: {notes}")
+    for motor, was in zip(group, before, strict=True):
+        expect_unmoved(bench, motor, was, f"{motor.name}, after its group was refused")
+
+
+def _expect_durations(bench: RigProtocol, group: MotorGroup, way: float) -> None:
+    """Check durations that the members cannot have together, and settings without PHASE."""
+    first, second = group
+    enough_s = 2.0 * shortest_s(first, way)
+    group.set_trajectory(
+        TrapezoidalTrajectory(way, duration_s=enough_s),
+        TrapezoidalTrajectory(way, duration_s=1.5 * enough_s),
+    )
+    group.synchronization = Synchronization.TIME
+    error = failure_of(group.start)
+    expect(isinstance(error, UsageError) and "differ" in str(error), f"two durations: {error}")
+    slow = DerivativeLimits(first=0.2 * second.model.velocity_max)
+    for synchronization in (Synchronization.TIME, _PHASE):
+        group.synchronization = synchronization
+        group.set_trajectory(
+            TrapezoidalTrajectory(way, duration_s=enough_s),
+            TrapezoidalTrajectory(4.0 * way, limits=slow),
+        )
+        error = failure_of(group.start)
+        expect(isinstance(error, LimitError), f"too short for {second.name}: {error}")
+        told = str(error)
+        expect(second.name in told and first.name in told, f"{synchronization.name}: {told}")
+        low = error.low if isinstance(error, LimitError) and error.low is not None else 0.0
+        least_s = 4.0 * way / (0.2 * second.model.velocity_max)
+        expect(0.9 * least_s <= low <= 2.0 * least_s, f"{told}: at least {least_s:g} s needed")
+    group.fault_reaction = FaultReaction.TOGETHER
+    group.synchronization = Synchronization.TIME
+    group.set_trajectory(*trajectories_of(way, way))
+    expect_raises(UsageError, group.start, "TOGETHER was accepted without PHASE")
+    group.synchronization = _PHASE
+    first.set_control_mode(ControlMode.SETPOINT)
+    first.set_setpoint(0.1 * way, relative=True)
+    expect_raises(UnsupportedError, group.start, "a set-point was accepted on a straight line")
+    group.fault_reaction = FaultReaction.EACH
+    first.set_control_mode(ControlMode.TRAJECTORY)
+    group.set_trajectory(*trajectories_of(way, way))
+
+
+@clause(
+    "SYNC-15",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SEVERAL_USERS},
+    source="MotorGroup.reserve: all motors or none; Reservation",
+)
+def group_reserves_all_or_none(bench: RigProtocol) -> None:
+    """A reservation of a group has all members for its block, or none of them."""
+    first, second = bench.motors[:2]
+    group = MotorGroup(first, second)
+    others = [bench.another_user_of(motor) for motor in group]
+    with group.reserve("survey", timeout_s=1.0, lease_s=5.0) as reservation:
+        expect(reservation.is_held and reservation.lost_to is None, f"{reservation!r}")
+        expect(set(reservation.names) == {first.name, second.name}, f"{reservation!r}")
+        expect(
+            repr(reservation) == f"<Reservation of {', '.join(reservation.names)}: held>",
+            f"shown as {reservation!r}",
+        )
+        tokens = tuple(one.token for one in reservation.members)
+        names = tuple(one.names[0] for one in reservation.members)
+        expect((tokens, names) == (reservation.tokens, reservation.names), f"{reservation!r}")
+        expect(reservation.token == tokens[0], f"token {reservation.token} of {tokens}")
+        expect([one.lease_s for one in reservation.claims] == [5.0, 5.0], "not its lease")
+        for _ in range(2):
+            rest_for(bench, 4.0)
+            reservation.renew()
+        for other in others:
+            error = failure_of(other.enable)
+            expect(isinstance(error, MotorBusyError), f"{other.name}: {error}; expected a refusal")
+    expect(not reservation.is_held and reservation.lost_to is None, f"given back: {reservation!r}")
+    expect("given back" in repr(reservation), f"shown as {reservation!r}")
+    for place in (0, 1):
+        with others[place].reserve("lunch"):
+            for timeout_s in (None, 0.25):
+                begun_ns = bench.runtime.now_ns()
+                error = failure_of(group.reserve("survey", timeout_s=timeout_s).__enter__)
+                waited_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+                expect(isinstance(error, MotorBusyError) and "lunch" in str(error), f"{error}")
+                expect(waited_s == (timeout_s or 0.0), f"refused after {waited_s} s")
+            others[1 - place].enable()
+    with group.reserve("survey") as reservation, others[1].reserve("fire", take_over=True):
+        expect(not reservation.is_held, "held, although one member was taken over")
+        by = reservation.lost_to or ""
+        expect(others[1].name in by and "lost to" in repr(reservation), f"{reservation!r}: {by}")
+        expect_raises(MotorBusyError, reservation.renew, "a lost reservation was renewed")
+        expect([one.is_held for one in reservation.members].count(True) == 1, "not one is left")
+
+
+@clause(
+    "SYNC-16",
+    Level.L4,
+    needs={*_MOVES, Capability.FAULTS},
+    bench={*_TWO, Ability.FAULT, Ability.AFRESH},
+    source="MotorGroup.fault_reaction: a caller that waits for the group gets the cause",
+)
+def failure_of_single_start_stops_group(bench: RigProtocol) -> None:
+    """If members were started one by one, a wait for the group reacts to a failure, by name."""
+    for reaction, fails in product((FaultReaction.EACH, FaultReaction.NONE), (0, 1)):
+        bench.afresh()
+        group = MotorGroup(*bench.motors[:2])
+        group.fault_reaction = reaction
+        way = half_move(bench)
+        duration_s = 8.0 * shortest_s(bench.motor, way)  # a start of some drives takes long
+        failing, other = group[fails], group[1 - fails]
+        before = position_of(bench, other)
+        for motor in group:
+            follow(motor, TrapezoidalTrajectory(way, duration_s=duration_s))
+        rest_for(bench, 0.1 * duration_s)
+        bench.fail(failing)
+        error = failure_of(partial(group.wait_until_done, _GROUP_S))
+        what = f"{failing.name} failed with reaction {reaction.name}"
+        notes = " ".join(getattr(error, "__notes__", ()))
+        expect(error is not None, f"{what}, but its group reported done")
+        stops = reaction is FaultReaction.EACH
+        named = f"from {failing.name}" in notes
+        expect(named is stops, f"{what}: {error} with the notes {notes!r}")
+        rest_for(bench, 1.1 * duration_s)
+        made = abs(position_of(bench, other) - before) / abs(way)
+        expect(stops is (made < 0.98), f"{what}: {other.name} made {made:.0%}")
+
+
+@clause(
+    "SYNC-17",
+    Level.L4,
+    needs=_MOVES,
+    bench=_TWO,
+    source="FaultReaction.TOGETHER: with it, stop() of the group follows the path, too",
+)
+def common_stop_stays_on_path(bench: RigProtocol) -> None:
+    """A stop of a group whose members stop together keeps all on their straight line."""
+    way = half_move(bench)
+    ways = (2.0 * way, -0.6 * way)
+    group = pair_of(bench, *ways)
+    group.synchronization = _PHASE
+    group.fault_reaction = FaultReaction.TOGETHER
+    track = GroupPositions(bench, group)
+    try:
+        group.start()
+    except UnsupportedError as error:
+        raise NotApplicable(f"its motors cannot stop together: {error}") from None
+    rest_for(bench, midway_s(bench.motor, 2.0 * way, 0.3))
+    group.stop()
+    group.wait_until_done(_GROUP_S)
+    track.end()
+    made = []
+    for motor, was, its in zip(group, track.samples[0][1], ways, strict=True):
+        expect_rest(bench, motor, f"after stop() of its group, {motor.name}")
+        made.append((position_of(bench, motor) - was) / its)
+        expect(0.0 < made[-1] < 0.98, f"{motor.name} made {made[-1]:.0%} of its way")
+    first, second = track.samples[0][1]
+    worst = max(
+        abs((a - first) * ways[1] - (b - second) * ways[0]) / hypot(*ways)
+        for _, (a, b) in track.samples
+    )
+    late_s = bench.facts.latency_s[1] - bench.facts.latency_s[0]
+    skew_s = late_s + (group.sync_capability().start_skew_s or late_s) + 0.002
+    allowed = 3.0 * bench.facts.following + skew_s * bench.motor.model.velocity_max
+    expect(worst <= allowed, f"stopped together, but {worst:.6g} off the line; limit {allowed:.6g}")
+
+
+@clause(
+    "SYNC-18",
+    Level.L4,
+    needs=_MOVES,
+    bench=_TWO,
+    source="requirement 5: feedback on the quality; MotorGroup.observe",
+)
+def observer_gets_each_quality(bench: RigProtocol) -> None:
+    """After each wait for a start, its observer gets the quality."""
+    way = 0.25 * half_move(bench)
+    told: list[SyncQuality] = []
+    group = pair_of(bench, way, 0.0)
+    group.observe(told.append)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns that nothing was started
+        group.wait_until_done(_GROUP_S)
+    expect(not told, "told of a group that was not started")
+    before = positions_of(bench, group)
+    group.start()
+    finish_group(bench, group)
+    expect_group_moved(bench, group, before, (way, 0.0), "observed")
+    expect(len(told) == 1, f"told {len(told)} times of one start")
+    (one,) = told
+    expect([name for name, _ in one.times] == [motor.name for motor in group], f"{one}")
+    expect(one.start_skew_s in (0.0, None), f"one of two members has a way: {one}")
+    expect(one.predicted_end_skew_s == 0.0, f"one of two members ends: {one}")
+    expect(one.path == (), f"a path without PHASE: {one}")

@@ -1,0 +1,169 @@
+"""L1: profiles between states, under limits of their own: of slope, of jerk, of position."""
+
+from functools import partial
+from itertools import pairwise
+from typing import Final
+
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
+    expect_moved,
+    expect_raises,
+    expect_rest,
+    expect_speed,
+    expect_tracks,
+    finish,
+    follow,
+    half_move,
+    position_of,
+    rest_for,
+    sample_positions,
+    shortest_s,
+)
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.motorapi import (
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+)
+
+_AFTER_S: Final = 0.2
+
+
+@clause(
+    "TRAJ-13",
+    Level.L1,
+    needs={Capability.VELOCITY_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, derivative limits: a range, so that each direction has its own",
+)
+def velocity_ramps_keep_limits_of_each_direction(bench: RigProtocol) -> None:
+    """Within limits of its own, a velocity ramp is as steep as its direction allows."""
+    motor, model = bench.motor, bench.motor.model
+    gentle = min(model.acceleration_max, model.deceleration)
+    falling, rising = 0.2 * gentle, 0.4 * gentle
+    top = 0.4 * model.velocity_max
+    motor.enable()
+    speed = 0.0
+    for change in (top, -0.5 * top, -1.5 * top, 0.5 * top, 0.5 * top):
+        rate = rising if change > 0.0 else falling
+        ramp = TrapezoidalTrajectory(change, limits=DerivativeLimits(first=(-falling, rising)))
+        duration_s = abs(change) / rate
+        before, asked_ns = position_of(bench, motor), bench.runtime.now_ns()
+        follow(motor, ramp, ControlVariable.VELOCITY)
+        late_s = elapsed_s(bench, asked_ns) + max(map(abs, bench.facts.latency_s)) + 0.01
+        samples = sample_positions(bench, motor, duration_s + _AFTER_S)
+        finish(bench, motor, duration_s)
+        bound = bench.facts.following + 0.02 * abs(change) * duration_s
+        slope = rate if change > 0.0 else -rate
+        bound += late_s * top  # it begins between the command and a latency after its return
+        for at_s, position in samples:
+            ramp_s = min(at_s, duration_s)
+            wanted = speed * at_s + slope * ramp_s * (at_s - 0.5 * ramp_s)
+            off = position - before - wanted
+            expect(
+                abs(off) <= bound,
+                f"{at_s:.3f} s into a ramp from {speed:g} by {change:g} {model.unit}/s at"
+                f" {rate:g} {model.unit}/s²: {off:.5g} {model.unit} off; limit {bound:.5g}",
+            )
+        speed += change
+    motor.stop()
+    finish(bench, motor)
+
+
+@clause(
+    "TRAJ-11",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1, derivative limits; Biagiotti & Melchiorri 2008, 3.4: double S",
+)
+def jerk_limit_is_used_or_refused(bench: RigProtocol) -> None:
+    """A limit of the third derivative is refused, or used: no faster, no slower than it allows."""
+    motor, model = bench.motor, bench.motor.model
+    gentle = min(model.acceleration_max, model.deceleration)
+    jerk = 2.0 * gentle
+    motor.enable()
+    for way in (0.05 * gentle, -0.05 * gentle):
+        # Never at the largest velocity or acceleration: four equal parts of constant jerk.
+        quarter_s = (abs(way) / (2.0 * jerk)) ** (1.0 / 3.0)
+        slow = jerk * quarter_s**2 < model.velocity_max
+        if not slow or jerk * quarter_s > gentle or abs(way) > abs(half_move(bench)) * 2.0:
+            raise NotApplicable("its limits leave no room for a move that its jerk limits alone")
+        limited = TrapezoidalTrajectory(way, limits=DerivativeLimits(third=jerk))
+        before = position_of(bench, motor)
+        try:
+            follow(motor, limited)
+        except UnsupportedError as error:
+            raise NotApplicable(f"it limits no jerk: {error}") from None
+        samples = sample_positions(bench, motor, 4.0 * quarter_s + _AFTER_S)
+        finish(bench, motor)
+        expect_moved(bench, motor, before, way, "with a limit of jerk")
+        side = 1.0 if way > 0.0 else -1.0
+
+        def wanted(at_s: float, side: float = side, quarter_s: float = quarter_s) -> float:
+            return side * jerk * _double_s(min(max(at_s / quarter_s, 0.0), 4.0)) * quarter_s**3
+
+        shown = [(at_s, position - before) for at_s, position in samples]
+        expect_tracks(bench, shown, wanted, f"{limited!r}")
+
+
+def _double_s(at: float) -> float:
+    """Return the way of jerk 1, -1, -1 and 1, each for a time of 1."""
+    if at > 2.0:
+        return 2.0 - _double_s(4.0 - at)
+    if at <= 1.0:
+        return at**3 / 6.0
+    more = at - 1.0
+    return 1.0 / 6.0 + 0.5 * more + 0.5 * more**2 - more**3 / 6.0
+
+
+@clause(
+    "TRAJ-12",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="TrapezoidalTrajectory: with a final velocity it continues, or to rest at a limit",
+)
+def final_velocity_brakes_at_limit(bench: RigProtocol) -> None:
+    """After a final velocity, a motor comes to rest at a position limit, and not beyond it."""
+    motor, model = bench.motor, bench.motor.model
+    velocity = 0.4 * model.velocity_max
+    brake = 0.5 * velocity**2 / model.deceleration
+    way = 0.3 * half_move(bench) + velocity**2 / model.acceleration_max
+    motor.enable()
+    for side in (1.0, -1.0):
+        begun = position_of(bench, motor)
+        here = motor.position()
+        room = side * (way + brake + 0.2 * velocity)  # 0.2 s at its final velocity
+        ends = sorted((here - 0.1 * side * way, here + room))
+        limits = DerivativeLimits(value=(ends[0], ends[1]))
+        too_near = TrapezoidalTrajectory(
+            side * (way + 0.5 * brake + 0.2 * velocity),
+            limits=limits,
+            final_derivatives=(side * velocity,),
+        )
+        onward = TrapezoidalTrajectory(
+            side * way, limits=limits, final_derivatives=(side * velocity,)
+        )
+        try:
+            expect_raises(LimitError, partial(follow, motor, too_near), "no room to brake")
+            follow(motor, onward)
+        except UnsupportedError as error:
+            raise NotApplicable(f"it ends at rest only: {error}") from None
+        finish(bench, motor, shortest_s(motor, 2.0 * way))
+        expect_speed(bench, motor, side * velocity, 0.1, "before its limit")
+        samples = sample_positions(bench, motor, 0.1 + velocity / model.deceleration + 0.3)
+        expect_rest(bench, motor, "at its limit")
+        expect_moved(bench, motor, begun, room, "with a final velocity, to its limit", 2.0)
+        steps = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(samples)]
+        brakes = [a - b for a, b in pairwise(one * side for one in steps)]
+        worst = max(sum(brakes[at : at + 8]) for at in range(len(brakes)))
+        allowed = model.deceleration * 9.0 * 0.005 * 1.1 + 4.0 * bench.facts.following / 0.005
+        expect(worst <= allowed, f"brakes by {worst:.5g} {model.unit}/s in 0.04 s")
+        motor.stop()
+        rest_for(bench, _AFTER_S)
+        finish(bench, motor)

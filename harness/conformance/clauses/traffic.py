@@ -1,0 +1,404 @@
+"""L4: response times of declared traffic, by the theory and on the emulated bus.
+
+The bounds on a common start are made of these. The theory is computed here once more, step by step
+and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 2013 for FIFO queues.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from math import ceil
+from random import Random
+from typing import Any, Final, final
+
+from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.clause import Level, clause, expect
+from motorhil.harness.conformance.clauses.helpers import expect_raises
+from motorhil.motorapi import UsageError
+from motorhil.motorapi.synchronization.bus_load import (
+    FD_LENGTHS,
+    CanTraffic,
+    NodeTraffic,
+    PeriodicMessage,
+    rank_of,
+    worst_of,
+)
+from motorhil.motorapi.synchronization.can_frame_length import Bits, longest, shortest
+from motorhil.motorapi.synchronization.can_response_time import (
+    Arrival,
+    BusLoad,
+    ErrorModel,
+    Message,
+    Response,
+    are_in_time,
+    response_between,
+    response_times,
+)
+
+_RATES: Final = (125_000, 500_000, 1_000_000)
+_LOADS: Final = 60
+_RECOVERY_BITS: Final = 31
+_INTERMISSION_BITS: Final = 3
+_HEAD: Final = {(False, False): 34, (False, True): 54, (True, False): 22, (True, True): 41}
+"""Bits subject to stuffing without data, by (FD, extended): up to the CRC, of FD up to the DLC."""
+_TAIL: Final = 13  # delimiters, ACK, end of frame, intermission
+_FD_CRC: Final = (27, 32)  # stuff count, CRC and fixed stuff bits; of up to 16 bytes, and of more
+_FD_SHORT: Final = 16
+_FD_NOMINAL: Final = (17, 36)  # up to BRS
+_FD_STUFF: Final = (3, 8)  # stuff bits that can come before BRS
+_ROUNDING_S: Final = 1e-12
+
+
+@final
+@dataclass(slots=True)
+class _Stream:
+    """A message as the theory has it: its frames in a window; `late_ns` from its FIFO queue."""
+
+    message: Message
+    takes_ns: int
+    late_ns: int = 0
+
+    def competing(self, window_ns: int) -> int:
+        """Return the frames that may begin to compete in a window."""
+        one = self.message
+        early_ns = one.jitter_ns + one.irregular_ns + self.late_ns
+        count = -(-(window_ns + early_ns) // one.period_ns)
+        if one.distance_ns:
+            count = min(count, -(-(window_ns + self.late_ns) // one.distance_ns))
+        return count
+
+    def queued(self, at_ns: int, jitter_ns: int | None = None) -> int:
+        """Return the frames queued from 0 to `at_ns`, both included."""
+        one = self.message
+        early_ns = (one.jitter_ns if jitter_ns is None else jitter_ns) + one.irregular_ns
+        count = (at_ns + early_ns) // one.period_ns + 1
+        return min(count, at_ns // one.distance_ns + 1) if one.distance_ns else count
+
+    @property
+    def own_delay_ns(self) -> int:
+        """The delay from the due time that is part of its response time."""
+        return self.message.jitter_ns if self.message.arrival is Arrival.PERIODIC else 0
+
+
+@final
+class _Theory:
+    """Worst cases of a bus load, from the formulas."""
+
+    def __init__(self, load: BusLoad, errors: ErrorModel) -> None:
+        self._errors = errors
+        self._bit_ns = -(-1_000_000_000 // load.bitrate_bit_s)
+        self._recovery_ns = -(-_RECOVERY_BITS * 1_000_000_000 // load.bitrate_bit_s)
+        ordered = sorted(load.messages, key=lambda one: one.rank)
+        self.streams = [_Stream(one, load.takes_ns(one)) for one in ordered]
+        self._queues = {
+            id(one): [
+                other
+                for other in self.streams
+                if other is one
+                or (one.message.sender in load.fifo and other.message.sender == one.message.sender)
+            ]
+            for one in self.streams
+        }
+        self.is_bounded = changed = True
+        longest_ns = max(one.period_ns for one in ordered)
+        while changed and self.is_bounded:
+            changed = False
+            for one in self.streams:
+                waits = [w - at for at, w, first in self._waits(one) if not first]
+                late_ns = max(waits, default=0) if len(self._queues[id(one)]) > 1 else 0
+                changed = changed or late_ns != one.late_ns
+                one.late_ns = late_ns
+                self.is_bounded = self.is_bounded and late_ns <= longest_ns
+
+    def _level(self, one: _Stream) -> tuple[list[_Stream], list[_Stream], int]:
+        """Return the queue of a message, what is more urgent than its last one, and blocking."""
+        queue = self._queues[id(one)]
+        place = self.streams.index(queue[-1])
+        higher = [other for other in self.streams[:place] if other not in queue]
+        lower = self.streams[place + 1 :]
+        return queue, higher, max((other.takes_ns for other in lower), default=0)
+
+    def _error_ns(self, window_ns: int, level: Sequence[_Stream]) -> int:
+        errors = self._errors
+        count = errors.burst
+        if errors.interval_ns is not None:
+            count += max(0, -(-window_ns // errors.interval_ns) - 1)
+        return count * (self._recovery_ns + max(other.takes_ns for other in level))
+
+    def busy_ns(self, one: _Stream) -> int:
+        """Return the longest busy period of a message's level."""
+        queue, higher, blocking_ns = self._level(one)
+        busy_ns, again_ns = 0, sum(other.takes_ns for other in queue)
+        while again_ns > busy_ns:
+            busy_ns = again_ns
+            again_ns = self._error_ns(busy_ns, [*queue, *higher]) + blocking_ns
+            again_ns += sum(other.competing(busy_ns) * other.takes_ns for other in higher)
+            again_ns += sum(other.queued(busy_ns - 1) * other.takes_ns for other in queue)
+        return busy_ns
+
+    def _waits(self, one: _Stream) -> Iterator[tuple[int, int, bool]]:
+        """Yield time of queueing, wait until the start, and whether nothing is queued before."""
+        queue, higher, blocking_ns = self._level(one)
+        busy_ns = self.busy_ns(one)
+        for at_ns in self._moments(one, queue, busy_ns + one.own_delay_ns):
+            until_ns = min(at_ns, busy_ns)
+            before_ns = sum(
+                other.queued(until_ns) * other.takes_ns for other in queue if other is not one
+            )
+            own_jitter_ns = one.message.jitter_ns - one.own_delay_ns
+            before_ns += (one.queued(at_ns, own_jitter_ns) - 1) * one.takes_ns
+            wait_ns, again_ns = -1, blocking_ns + before_ns
+            while again_ns > wait_ns:
+                wait_ns = again_ns
+                window_ns = wait_ns + self._bit_ns
+                again_ns = blocking_ns + before_ns
+                again_ns += self._error_ns(wait_ns + one.takes_ns, [*queue, *higher])
+                again_ns += sum(other.competing(window_ns) * other.takes_ns for other in higher)
+            yield at_ns, wait_ns, before_ns == 0
+
+    @staticmethod
+    def _moments(one: _Stream, queue: Sequence[_Stream], until_ns: int) -> list[int]:
+        """Return the times at which a frame of the queue may arrive, in order."""
+        found = {0}
+        for other in queue:
+            sent = other.message
+            early_ns = sent.jitter_ns + sent.irregular_ns
+            if other is one:
+                early_ns -= one.own_delay_ns
+            number, at_ns = 1, 0
+            while at_ns < until_ns:
+                found.add(at_ns)
+                at_ns = max(number * sent.period_ns - early_ns, number * sent.distance_ns)
+                number += 1
+        return sorted(found)
+
+    def worst(self, one: _Stream) -> tuple[int, int, int]:
+        """Return the response time, its instance and the blocking of a message."""
+        cases = [wait_ns + one.takes_ns - at_ns for at_ns, wait_ns, _ in self._waits(one)]
+        worst_ns = max(cases)
+        return worst_ns + one.own_delay_ns, cases.index(worst_ns), self._level(one)[2]
+
+
+def _loads(seed: int) -> Iterator[tuple[BusLoad, ErrorModel]]:
+    """Yield random loads that can be sent, with errors or without."""
+    random = Random(seed)
+    periods = zip((0x10, 0x20, 0x30), (2_500_000, 3_500_000, 3_500_000), strict=True)
+    refuting = tuple(Message(identifier, 7, period_ns) for identifier, period_ns in periods)
+    yield BusLoad("Davis et al. 2007, table 2", 125_000, refuting), ErrorModel(0)
+    for number in range(_LOADS):
+        rate = random.choice(_RATES)
+        base_ns = 100 * 1_000_000_000 // rate  # somewhat less than a long frame
+        messages = []
+        for identifier in random.sample(range(0x700), random.randint(3, 8)):
+            period_ns = random.randint(3, 9) * base_ns * (1 + number % 3)
+            messages.append(
+                Message(
+                    identifier,
+                    random.randint(0, 8),
+                    period_ns,
+                    jitter_ns=random.choice((0, period_ns // 5)),
+                    irregular_ns=random.choice((0, 0, period_ns // 9)),
+                    distance_ns=random.choice((0, period_ns // 3)),
+                    extended=random.random() < 0.2,
+                    sender=random.choice(("", "a", "a", "b", "b")),
+                    arrival=random.choice((Arrival.PERIODIC, Arrival.PERIODIC, Arrival.SPORADIC)),
+                )
+            )
+        fifo = frozenset(("a", "b")[: 1 + number % 3]) if number % 2 else frozenset()
+        interval_ns = None if number % 4 < 2 else 30 * base_ns
+        errors = ErrorModel(number // 4 % 2, interval_ns)
+        load = BusLoad("bus", rate, tuple(messages), fifo=fifo)
+        if load.utilisation() < (0.85 if errors.interval_ns else 0.97):
+            yield load, errors
+
+
+@clause(
+    "TIME-01",
+    Level.L4,
+    source="Davis et al. 2007 and 2013; Tindell, Burns & Wellings 1995; requirement 5",
+)
+def response_times_are_those_of_theory(bench: RigProtocol) -> None:
+    """Response times of declared messages, with FIFO queues and errors, are as in the theory."""
+    for load, errors in _loads(bench.seed):
+        theory = _Theory(load, errors)
+        told = response_times(load, errors)
+        expect(
+            [one.message for one in told] == [one.message for one in theory.streams],
+            f"{load}: not every message has a response time, the most urgent first",
+        )
+        if not theory.is_bounded:
+            expect(
+                any(one.response_ns is None for one in told),
+                f"{load}: a bound, although a frame waits longer in its queue than any period",
+            )
+            continue
+        gap_ns = _INTERMISSION_BITS * 1_000_000_000 // load.bitrate_bit_s
+        for stream, found in zip(theory.streams, told, strict=True):
+            worst_ns, instance, blocking_ns = theory.worst(stream)
+            _expect_equal(
+                found,
+                Response(
+                    *(stream.message, stream.takes_ns, worst_ns, worst_ns - gap_ns),
+                    *(blocking_ns, theory.busy_ns(stream), instance),
+                ),
+            )
+        _expect_verdicts(load, errors, told)
+
+
+def _expect_equal(found: Response, wanted: Response) -> None:
+    expect(found == wanted, f"{found.message.label}: {found}; the theory has {wanted}")
+
+
+def _expect_verdicts(load: BusLoad, errors: ErrorModel, told: Sequence[Response]) -> None:
+    """Check the verdicts on deadlines, of which each is exact; and a single message."""
+    for spare_ns, is_wanted in ((0, True), (-1, False)):
+        for place, late in enumerate(told):
+            timed = [
+                replace(one.message, deadline_ns=(one.response_ns or 0) + spare)
+                for one, spare in ((one, spare_ns if one is late else 0) for one in told)
+            ]
+            dated = replace(load, messages=tuple(timed))
+            for doubtful in ((), (late.message.rank,)):
+                expect(
+                    are_in_time(dated, errors, doubtful=doubtful) is is_wanted,
+                    f"{late.message.label}: deadline missed by {-spare_ns} ns, and in time:"
+                    f" {not is_wanted}",
+                )
+            verdict = response_times(dated, errors, asked=(late.message.rank,))
+            expect(
+                [one.is_in_time for one in verdict] == [is_wanted],
+                f"{late.message.label}: alone, in time: {not is_wanted}",
+            )
+            if not load.fifo:
+                ordered = [one.message for one in told]
+                one = response_between(
+                    load, ordered[:place], ordered[place], ordered[place + 1 :], errors
+                )
+                _expect_equal(one, late)
+    known: dict[int, int | None] = {}
+    response_times(load, ErrorModel(0), lateness=known)
+    expect(
+        list(response_times(load, errors, lateness=known)) == list(told),
+        "response times with known lateness differ from those without",
+    )
+
+
+@clause("TIME-02", Level.L4, source="ISO 11898-1: frames, bit stuffing; ISO 11898-1:2015, CAN FD")
+def frame_lengths_are_those_of_fields(_: RigProtocol) -> None:
+    """Bounds of the lengths of CAN frames are sums of their fields, without or with stuffing."""
+    for extended, fd, switched in product((False, True), repeat=3):
+        if switched and not fd:
+            continue
+        for length in FD_LENGTHS if fd else range(9):
+            head = _HEAD[fd, extended]
+            stuffed = head + 8 * length
+            stuff = (stuffed - 1) // 4
+            crc = 0
+            if fd:
+                crc = _FD_CRC[0] if length <= _FD_SHORT else _FD_CRC[1]
+            for bound, most in ((longest, True), (shortest, False)):
+                found = bound(length, extended=extended, fd=fd, switched=switched)
+                wanted = (stuffed + crc + _TAIL + (stuff if most else 0), 0)
+                if switched:
+                    nominal = _FD_NOMINAL[extended] + _TAIL
+                    nominal += _FD_STUFF[extended] if most else 0
+                    wanted = (nominal, wanted[0] - nominal)
+                what = f"{bound.__name__}({length}), {extended=}, {fd=}, {switched=}"
+                told = (found.nominal, found.data)
+                expect(told == wanted, f"{what}: {told} bits; expected {wanted}")
+                _expect_times(found)
+
+
+def _expect_times(bits: Bits) -> None:
+    for rate, data_rate in ((500_000, None), (333_000, 2_000_000)):
+        whole = bits.nominal + (0 if data_rate else bits.data)
+        wanted_ns = ceil(whole * 10**9 / rate)
+        if data_rate is not None:
+            wanted_ns += ceil(bits.data * 10**9 / data_rate)
+        takes_ns = bits.time_ns(rate, data_rate)
+        expect(takes_ns == wanted_ns, f"{bits} take {takes_ns} ns; expected {wanted_ns} ns")
+
+
+@clause("TIME-03", Level.L4, source="Davis et al. 2007: one sender an identifier, least period")
+def declared_traffic_is_worst_of_all(_: RigProtocol) -> None:
+    """Traffic that is declared twice, or sent by several, counts with its worst properties."""
+    node = PeriodicMessage(0x181, 8, 0.1, 0.02)
+    other = replace(node, length=4, period_s=0.05, jitter_s=0.03)
+    alone = PeriodicMessage(0x17, 1, 1.0, extended=True)
+    sent = NodeTraffic(
+        (node,), (replace(alone, can_id=0x18),), (other,), (replace(other, can_id=0x201),)
+    )
+    traffic = CanTraffic(500_000, (alone, replace(other, length=2)), frozenset((1,)), 2_000_000)
+    for period_s in (None, 0.01):
+        found = traffic.with_own((sent, sent), period_s, (PeriodicMessage(0x300, 6, 0.02),))
+        wanted = {
+            0x17: alone,
+            0x18: replace(alone, can_id=0x18),
+            0x181: replace(node, period_s=0.05, jitter_s=0.03),
+            0x300: PeriodicMessage(0x300, 6, 0.02),
+        }
+        if period_s is not None:
+            wanted[0x181] = replace(node, period_s=0.01, jitter_s=0.03)
+            wanted[0x201] = replace(other, can_id=0x201, period_s=0.01, jitter_s=0.006)
+            wanted[0x80] = PeriodicMessage(0x80, 0, 0.01)
+        ordered = sorted(wanted.values(), key=lambda one: one.rank)
+        what = f"with SYNC every {period_s} s: {found}; expected {ordered}"
+        expect(len(found.messages) == len(ordered), what)
+        for has, wants in zip(found.messages, ordered, strict=True):
+            expect(replace(has, jitter_s=wants.jitter_s) == wants, what)
+            expect(abs(has.jitter_s - wants.jitter_s) < _ROUNDING_S, what)
+        ours = {0x18, 0x300} | ({0x201, 0x80} if period_s else set())
+        expect(found.queued == {1} | {wanted[one].rank for one in ours}, what)
+        expect((found.bitrate_bit_s, found.data_bitrate_bit_s) == (500_000, 2_000_000), what)
+    _expect_ranks()
+    fd = PeriodicMessage(0x10, 12, 0.1, fd=True, bit_rate_switch=True)
+    (worst,) = worst_of([fd, replace(fd, bit_rate_switch=False, length=8), fd])
+    expect(worst == replace(fd, bit_rate_switch=False), f"the worst of two is {worst}")
+    for values in _IMPOSSIBLE:
+        expect_raises(UsageError, partial(PeriodicMessage, **values), f"{values} was accepted")
+    for arguments in ((999,), (1_000_001,), (True,), (500_000, (fd, fd)), (500_000, (1,))):
+        expect_raises(UsageError, partial(CanTraffic, *arguments), f"{arguments} was accepted")
+    for fast in (499_999, 20_000_001):
+        made = partial(CanTraffic, 500_000, data_bitrate_bit_s=fast)
+        expect_raises(UsageError, made, f"a data bit rate of {fast} bit/s was accepted")
+    for values in _POSSIBLE:
+        PeriodicMessage(**values)
+    CanTraffic(1_000, data_bitrate_bit_s=1_000)
+    CanTraffic(1_000_000, data_bitrate_bit_s=20_000_000)
+
+
+def _expect_ranks() -> None:
+    """Check that ranks have the order of arbitration."""
+    senders = [(one, False) for one in (0, 1, 0x7F, 0x7FF)]
+    senders += [(one, True) for one in (0, 1, (1 << 18) - 1, 1 << 18, 0x7F << 18 | 5, 0x1FFF_FFFF)]
+    by_bus = sorted(senders, key=lambda one: _arbitration(*one))
+    by_rank = sorted(senders, key=lambda one: rank_of(one[0], extended=one[1]))
+    expect(by_rank == by_bus, f"the order of identifiers is {by_rank}; on the bus {by_bus}")
+
+
+def _arbitration(identifier: int, extended: bool) -> str:
+    """Return the bits of arbitration: identifier, RTR or SRR, IDE, rest of the identifier."""
+    if extended:
+        return f"{identifier >> 18:011b}11{identifier & 0x3FFFF:018b}"
+    return f"{identifier:011b}00"
+
+
+_MESSAGE: Final[dict[str, Any]] = {"can_id": 0x7FF, "length": 8, "period_s": 0.1}
+_IMPOSSIBLE: Final[tuple[dict[str, Any], ...]] = tuple(
+    {**_MESSAGE, **one}
+    for one in (
+        *({"can_id": -1}, {"can_id": 0x800}, {"can_id": 1 << 29, "extended": True}),
+        *({"can_id": 1.5}, {"can_id": True}, {"length": 9}, {"length": -1}, {"length": None}),
+        *({"length": 9, "fd": True}, {"length": 65, "fd": True}, {"bit_rate_switch": True}),
+        *({"period_s": 0.0}, {"period_s": 0.9e-6}, {"period_s": 1.1e6}, {"period_s": "1"}),
+        *({"jitter_s": -1e-9}, {"jitter_s": 1.1e6}, {"jitter_s": float("nan")}, {"jitter_s": True}),
+    )
+)
+_POSSIBLE: Final[tuple[dict[str, Any], ...]] = tuple(
+    {**_MESSAGE, **one}
+    for one in (
+        *({"can_id": 0}, {"length": 0}, {"period_s": 1e-6, "jitter_s": 1e6}, {"period_s": 1e6}),
+        *({"can_id": 0x1FFF_FFFF, "extended": True}, {"length": 64, "fd": True}, {"period_s": 1}),
+    )
+)
