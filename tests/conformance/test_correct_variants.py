@@ -4,10 +4,11 @@ import sys
 
 import pytest
 
+from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.run import Claims, run_clause
+from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
 from tests.conformance.variants import VARIANTS, VENDORS, of_vendor, text_of

@@ -5,14 +5,15 @@ import re
 import pytest
 
 from motorhil.emulators.cia402.drive import Cia402Drive
-from motorhil.harness.conformance.causes import groups_of, summary_of
+from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Diagnosis, Result, Verdict
-from motorhil.harness.conformance.diagnosis import name_of
 from motorhil.harness.conformance.examination import Finding
+from motorhil.harness.conformance.job import Job, Promise
 from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.run import Claims, run_clause
-from motorhil.harness.conformance.target import Job, Target
-from motorhil.harness.conformance.worker import Promise
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.target import Target
+from motorhil.harness.conformance.verdicts.causes import groups_of, summary_of
+from motorhil.harness.conformance.verdicts.diagnosis import name_of
 from tests.conformance.mutants import MUTANTS, replaced
 from tests.conformance.mutants.everyone import MODULES
 from tests.conformance.verdicts.named_causes import NAMED_CAUSES

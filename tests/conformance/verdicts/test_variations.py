@@ -3,9 +3,7 @@
 import pytest
 
 from motorhil.harness.cli.main import main
-from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.target import Job, Target
-from motorhil.harness.conformance.variations import (
+from motorhil.harness.conformance.benches.variations import (
     NOT_VARIED,
     OWN,
     VARIATIONS,
@@ -13,6 +11,9 @@ from motorhil.harness.conformance.variations import (
     not_met,
     text_of,
 )
+from motorhil.harness.conformance.job import Job
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.target import Target
 from tests.support.kit_benches import KINDS, RIGS
 
 CLAUSES = list(all_clauses())

@@ -23,7 +23,7 @@ def names() -> tuple[str, ...]:
 @cache
 def opener(name: str) -> Any:
     """Return an opener of this bench."""
-    from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+    from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
     from motorhil.harness.rig.config.rig_file import read_rig
     from motorhil.harness.rig.rig import installed_plugins
     from tests.conformance import variants
@@ -41,7 +41,7 @@ def opener(name: str) -> Any:
 @cache
 def claims(name: str) -> Any:
     """Return the claims of the motors of this bench."""
-    from motorhil.harness.conformance.run import Claims
+    from motorhil.harness.conformance.claims import Claims
 
     return Claims(opener(name))
 
@@ -49,7 +49,8 @@ def claims(name: str) -> Any:
 def verdict(clause: str, name: str, *, claims_anew: bool = False) -> Any:
     """Return the verdict of a clause on a bench."""
     from motorhil.harness.conformance.kit import all_clauses
-    from motorhil.harness.conformance.run import home_of, run_clause
+    from motorhil.harness.conformance.places import home_of
+    from motorhil.harness.conformance.run import run_clause
 
     known = None if claims_anew else claims(name)
     return run_clause(all_clauses()[clause], opener(name), known, home_of("motorhil.motorapi"))

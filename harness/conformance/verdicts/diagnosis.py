@@ -16,7 +16,12 @@ from typing import Final, NamedTuple, final
 import motorhil
 from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.clause import Clause, Diagnosis, Violated
-from motorhil.harness.conformance.observation import PERIOD_NS, Message, Observation, Sample
+from motorhil.harness.conformance.verdicts.observation import (
+    PERIOD_NS,
+    Message,
+    Observation,
+    Sample,
+)
 from motorhil.motorapi import (
     ControlVariable,
     DeadlineExceeded,

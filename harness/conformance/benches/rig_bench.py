@@ -12,7 +12,7 @@ from motorhil.emulators.can.frame import can_id_of, data_of, pack
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
-from motorhil.harness.conformance.observation import Observation
+from motorhil.harness.conformance.verdicts.observation import Observation
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
