@@ -6,20 +6,21 @@ A job names both, and is what a supervisor sends to its worker.
 import inspect
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
 from motorhil.harness.conformance.bench import Opener
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.benches.variations import OWN, applicable, varied
+from motorhil.harness.conformance.benches.variations import OWN, VARIATIONS, applicable, text_of
 from motorhil.harness.conformance.clause import Clause
 from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.places import home_of
 from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
-from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
-from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of
+from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig, read_rig
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, Source, a_kind_of
 from motorhil.harness.rig.rig import describe, installed_plugins
 from motorhil.settings import listed, nearest
 
@@ -75,7 +76,10 @@ class Target:
     def _with(self, variation: str) -> RigDescription:
         found = self._varied.get(variation)
         if found is None:
-            described = varied(self._described, variation)
+            source = self._described.source
+            text = text_of(source.text, VARIATIONS[variation])
+            described = parse_rig(Source(source.path, text), installed_plugins())
+            described = replace(described, name=f"{described.name}, {variation}")
             found = bench_description(described, self._job.adaptation or None)
             self._varied[variation] = found
         return found

@@ -6,12 +6,7 @@ set grows with every correct motor that was accused. A user's rig is used as it 
 
 import random
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import Final
-
-from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
-from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import installed_plugins
 
 _PLANT = 'plant = { preset = "wheel_60w" }'
 _FINE = "window_rad = 0.001\nfollowing_rad = 0.0005"
@@ -165,13 +160,6 @@ def text_of(text: str, changes: Sequence[Change]) -> str:
 def changes_claims(name: str) -> bool:
     """Return whether motors with this variation claim less than those of the rig as it is."""
     return any("6502h" in after for _, after in VARIATIONS[name])
-
-
-def varied(rig: RigDescription, name: str) -> RigDescription:
-    """Return the rig with this variation; its name says so."""
-    text = text_of(rig.source.text, VARIATIONS[name])
-    described = parse_rig(Source(rig.source.path, text), installed_plugins())
-    return replace(described, name=f"{rig.name}, {name}")
 
 
 def assigned(clauses: Sequence[str], names: Sequence[str], seed: int) -> dict[str, str]:

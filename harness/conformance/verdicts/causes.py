@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.harness.conformance.clause import without_numbers
 from motorhil.harness.conformance.examination import Finding
-from motorhil.harness.conformance.verdicts.diagnosis import without_numbers
 
 _NS: Final = 1e9
 

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, final
 
 import motorhil
 from motorhil.harness.conformance.bench import Ability
-from motorhil.harness.conformance.clause import Clause, Diagnosis, Violated
+from motorhil.harness.conformance.clause import Clause, Diagnosis, Violated, without_numbers
 from motorhil.harness.conformance.verdicts.observation import (
     PERIOD_NS,
     Message,
@@ -72,7 +72,6 @@ _DISTURBS: Final = {
 _TARGET: Final = "607Ah"
 _EMULATORS: Final = str(Path(motorhil.__file__).parent / "emulators") + os.sep
 _NS: Final = 1e9
-_NUMBER: Final = re.compile(r"[-+]?\b\d[\d.]*(?:e[-+]?\d+)?\b")
 
 
 class _Hint(NamedTuple):
@@ -116,11 +115,6 @@ def diagnose(
     chosen = [crash] if crash else [*hints, _of_error(error, seen, home)]
     evidence = [f"also: {hint.cause}" for hint in dict.fromkeys(chosen[1:-1])] + evidence
     return Diagnosis(chosen[0].cause, chosen[0].key, tuple(dict.fromkeys(evidence)), curves)
-
-
-def without_numbers(text: str) -> str:
-    """Return a message without its values, which differ from failure to failure."""
-    return _NUMBER.sub("#", text)
 
 
 # --- from the error ----------------------------------------------------------------------------
