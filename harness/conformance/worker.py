@@ -38,6 +38,8 @@ from motorhil.harness.rig.config.toml import RigError
 if TYPE_CHECKING:
     from motorhil.harness.conformance.drives.target import DriveTarget
 
+_GC_OBJECTS: Final = 20_000
+"""Number of new objects after which Python looks for garbage; rigs make much that lives on."""
 _MARGIN_S: Final = 30.0
 """Time after the deadline at which a worker without a supervisor ends by itself."""
 
@@ -151,6 +153,7 @@ def _answer(requests: TextIO, reply: Callable[[object], None], dump: TextIO) -> 
                 gc.disable()  # loading modules makes no garbage
                 worker = _Worker(request["job"])
                 gc.freeze()  # the collections after each clause need not scan the modules
+                gc.set_threshold(_GC_OBJECTS)
                 gc.enable()
                 answer = {"ready": worker.ready()}
             elif "claims" in request:

@@ -381,6 +381,8 @@ class RigBench:
             return {}
         prefix = self._prefix(motor)
         truth = self.rig.controllers[described.controller].snapshot()
+        if not prefix:
+            return truth
         return {name.removeprefix(prefix): truth[name] for name in truth if name.startswith(prefix)}
 
     def _units_per_rad(self, motor: Motor) -> float:

@@ -288,6 +288,7 @@ class Source:
         self.path = path
         self.text = text
         self._lines: Mapping[KeyPath, int] | None = None
+        self._values: dict[str, object] | None = None
 
     def root(self) -> "Table":
         """Return the whole file as a table.
@@ -295,6 +296,11 @@ class Source:
         Raises:
             RigError: the text is not TOML.
         """
+        if self._values is None:
+            self._values = self._parsed()
+        return Table(self, (), self._values)
+
+    def _parsed(self) -> dict[str, object]:
         try:
             values = tomllib.loads(self.text)
             self._lines = key_lines(self.text)
@@ -311,7 +317,7 @@ class Source:
         except ValueError as error:  # error of int() within tomllib: more than 4300 digits
             line = self.text.count("\n", 0, _longest_number_at(self.text)) + 1
             raise RigError(self.path, f"{error}", "shorten the number", line=line) from None
-        return Table(self, (), values)
+        return values
 
     def _refuse_long_integers(self, path: KeyPath, value: object) -> None:
         if isinstance(value, dict):
