@@ -12,7 +12,13 @@ from typing import Final, final
 
 from motorhil.harness.conformance.bench import Opener
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.benches.variations import OWN, VARIATIONS, applicable, text_of
+from motorhil.harness.conformance.benches.variations import (
+    OWN,
+    READ,
+    VARIATIONS,
+    applicable,
+    text_of,
+)
 from motorhil.harness.conformance.clause import Clause
 from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
@@ -67,7 +73,13 @@ class Target:
         """Return an opener for benches of this rig, varied, which record all to `record`."""
         if self._places is None:
             rig = self._with(variation)
-            return lambda: RigBench(rig, self.seed, record=record, is_observed=record is not None)
+            return lambda: RigBench(
+                rig,
+                self.seed,
+                record=record,
+                is_observed=record is not None,
+                is_read=variation == READ,
+            )
         from motorhil.harness.conformance.benches.wall_bench import WallBench
 
         places = self._places

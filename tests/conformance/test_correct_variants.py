@@ -97,6 +97,12 @@ def test_clause_whose_package_is_not_installed_is_not_applicable(tmp_path, monke
     assert verdict.seen == "hypothesis is not installed; pip install hypothesis"
 
 
+def test_shared_motor_moves_in_a_course_of_any_seed(tmp_path):
+    seed = 2  # its first courses end no motion
+    verdict = verdict_of("SHARE-11", opener_of(tmp_path, (_LONG, _LONG), seed=seed))
+    assert verdict.result is Result.PASSED, verdict.seen
+
+
 @pytest.mark.parametrize(
     ("clause", "result"),
     [

@@ -74,6 +74,18 @@ _THREE: list[Change] = [
     ("[group.both]", f"{_THIRD}[group.both]"),
     ('motors = ["left", "right"]', 'motors = ["left", "right", "third"]'),
 ]
+_BUSY: list[Change] = [  # 1.2 ms of 5 ms in frames of higher priority, as much in lower ones
+    (
+        "[controller.left]",
+        "".join(
+            f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
+            for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))
+        )
+        + "[controller.left]",
+    )
+]
+READ: Final = "a second program reads"
+"""The variation in which another program reads the motors; see `RigBench`."""
 _ELASTIC = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
@@ -102,6 +114,8 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     "priority queues": [("[controller.left]", f"{_PRIORITY}[controller.left]")],
     "three motors": _THREE,
     "slow bus": [("1_000_000", "125_000")],
+    "busy bus": _BUSY,
+    READ: [],
     "slow SDO server": of_drive("timing = { sdo_reply_s = 0.005 }"),
     "friction": [
         *of_plant("coulomb_friction_n_m = 0.008"),
@@ -126,7 +140,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
 
 _GENERAL: Final = ("reversing gear", "starts at 5 rad", "fast clock", "slow clock")
 """Variations that do not depend on the kind of the controllers."""
-NOT_VARIED: Final = ("busy bus", "a second program")
+NOT_VARIED: Final = ("a second program that takes the motor",)
 """Conditions that no variation makes yet; a run reports that they were not met."""
 OWN: Final = ""
 """The name of the rig as it is."""
