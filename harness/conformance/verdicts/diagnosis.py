@@ -57,6 +57,8 @@ _FACTORS: Final = (
 )
 _COMMON: Final = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
 """Factors that two values of a message may have for other reasons."""
+_TIMES: Final = (1e3, 1e6, 1e-3, 1e-6)
+"""Factors of two times that are mistakes; durations differ for many reasons."""
 _NEAR: Final = 0.012
 _STRAIGHT: Final = 0.999
 _OFF: Final = 0.015
@@ -72,7 +74,7 @@ _CURVE_POINTS: Final = 400
 _VALUE: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?) (rad/s|rad|m/s|m|N·m|N|A|s)(?![\w/·])")
 _DISTURBS: Final = {
     *(Ability.CUT, Ability.LOSE, Ability.SILENCE_HOST, Ability.BUS_ERRORS),
-    *(Ability.STOP_SYNC, Ability.RESTART),
+    *(Ability.STOP_SYNC, Ability.RESTART, Ability.ONE_KIND, Ability.LATE),
 }
 _TARGET: Final = "607Ah"
 _ABSENT: Final = "object does not exist"
@@ -218,9 +220,10 @@ def _in_message(seen: str, gear_ratio: float | None) -> Iterator[_Hint]:
         if " after that of " in seen:  # a difference of two times
             first += values[1]
         factor = first / values[1]
-        name = name_of(factor, gear_ratio)
-        if unit == "s" and not any(isclose(factor, one, rel_tol=0.1) for one in (1e3, 1e6)):
-            continue  # durations differ for many reasons
+        within = _EXACT if unit in ("rad", "m") else _NEAR
+        name = name_of(factor, gear_ratio, within)
+        if unit == "s" and not any(isclose(factor, one, rel_tol=0.1) for one in _TIMES):
+            continue
         if name and name.removeprefix("sign reversed, ") not in usual:
             topic = seen.partition(":")[0] if ":" in seen else "value"
             told = f"{topic}: {first:g} {unit} is {factor:.6g} times {values[1]:g} {unit}"
