@@ -79,6 +79,7 @@ _INTEGERS: Final[dict[int, tuple[int, bool]]] = {
     _D.TIME_OF_DAY: (48, False),
     _D.TIME_DIFFERENCE: (48, False),
 }
+# Whole numbers: data type -> (smallest value, largest value).
 _RANGES: Final[dict[int, tuple[int, int]]] = {
     data_type: (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
     for data_type, (bits, signed) in _INTEGERS.items()
@@ -145,7 +146,7 @@ def encode(data_type: int, value: Value) -> bytes:
     if data_type in _INTEGERS:
         if not isinstance(value, int):
             raise TypeError(f"data type {data_type:02X}h holds whole numbers, not {value!r}")
-        low, high = integer_range(data_type)
+        low, high = _RANGES[data_type]
         if not low <= value <= high:
             raise ValueError(f"{value} does not fit data type {data_type:02X}h ({low}..{high})")
         bits, signed = _INTEGERS[data_type]
@@ -218,7 +219,8 @@ class Variable:
         self.high: int | None = limits[1]
         self.has_default: bool = default is not None
         self.default: Value = zero(data_type) if default is None else default
-        encode(data_type, self.default)
+        if default is not None:
+            encode(data_type, default)
         self.value: Value = self.default
         self.reader: Reader | None = None
         self.writer: Writer | None = None

@@ -25,8 +25,9 @@ from motorhil.settings import listed, nearest
 
 if TYPE_CHECKING:
     from motorhil.harness.conformance.examination import Finding
-    from motorhil.harness.conformance.results import Outcome
-    from motorhil.harness.conformance.worker import Loaded, Promise, Supervisor
+    from motorhil.harness.conformance.job import Loaded, Promise
+    from motorhil.harness.conformance.supervisor import Supervisor
+    from motorhil.harness.conformance.verdicts.results import Outcome
 
 _MORE: Final = """\
 Without --rig the adaptation is checked on the rig that comes with it. Exit status: 0 all claims
@@ -112,8 +113,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: a file or an option cannot be used, or a result cannot be written.
     """
-    from motorhil.harness.conformance.target import Job
-    from motorhil.harness.conformance.worker import CannotTestError, Supervisor, WrongJobError
+    from motorhil.harness.conformance.job import Job
+    from motorhil.harness.conformance.supervisor import CannotTestError, Supervisor, WrongJobError
     from motorhil.harness.virtual_time.interrupts import ends_by_signal
 
     if options.list:
@@ -202,8 +203,8 @@ def _chosen(options: argparse.Namespace, known: "Sequence[Promise]") -> "list[Pr
 def _list(options: argparse.Namespace) -> int:
     from motorhil.harness.cli.options import print_table
     from motorhil.harness.conformance.drives.kit import drive_clauses
+    from motorhil.harness.conformance.job import Promise
     from motorhil.harness.conformance.kit import all_clauses
-    from motorhil.harness.conformance.worker import Promise
 
     clauses = drive_clauses() if options.controller is not None else all_clauses()
     known = [Promise(one.id, one.level, one.promise, one.source) for one in clauses.values()]
@@ -218,10 +219,10 @@ def _list(options: argparse.Namespace) -> int:
 
 def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
     """Check the clauses, print each result as it comes, and return the outcome."""
+    from motorhil.harness.conformance.benches.variations import not_met
     from motorhil.harness.conformance.examination import Examiner
-    from motorhil.harness.conformance.results import Outcome
-    from motorhil.harness.conformance.variations import not_met
-    from motorhil.harness.conformance.worker import CannotTestError
+    from motorhil.harness.conformance.supervisor import CannotTestError
+    from motorhil.harness.conformance.verdicts.results import Outcome
 
     chosen = _chosen(options, supervisor.loaded.clauses)
     examiner = Examiner(supervisor, _command(options), options.output, is_live=bool(options.on))
@@ -256,7 +257,7 @@ def _pairs(
     Raises:
         RigError: there is no such variation.
     """
-    from motorhil.harness.conformance.variations import OWN, assigned
+    from motorhil.harness.conformance.benches.variations import OWN, assigned
 
     names = loaded.variations
     if which == _ALL:
@@ -326,8 +327,8 @@ def _print_finding(
 
 
 def _print_summary(outcome: "Outcome") -> None:
-    from motorhil.harness.conformance.causes import groups_of, summary_of
     from motorhil.harness.conformance.clause import Result
+    from motorhil.harness.conformance.verdicts.causes import groups_of, summary_of
 
     groups = groups_of(outcome.findings)
     if groups:
@@ -362,7 +363,7 @@ def _write(options: argparse.Namespace, outcome: "Outcome") -> None:
     Raises:
         RigError: a file cannot be written.
     """
-    from motorhil.harness.conformance.results import as_json, as_junit, as_page
+    from motorhil.harness.conformance.verdicts.results import as_json, as_junit, as_page
 
     texts: tuple[tuple[Path | None, Callable[[Outcome], str]], ...] = (
         (options.json, as_json),

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from enum import Enum
-from typing import Protocol, final
+from typing import TYPE_CHECKING, Protocol, final
 
 from motorhil.harness.rig.config.conformance import Facts
-from motorhil.motorapi import Motor
-from motorhil.motorapi.runtime.api import Runtime
+
+if TYPE_CHECKING:  # the supervisor starts sooner without the motor interface
+    from motorhil.motorapi import Motor
+    from motorhil.motorapi.runtime.api import Runtime
 
 Lost = Callable[[], int]
 """Number of frames or answers lost so far. A fault that hit nothing has tested nothing."""
@@ -52,7 +54,7 @@ class RigProtocol(Protocol):
         """The abilities of the bench."""
 
     @property
-    def runtime(self) -> Runtime:
+    def runtime(self) -> "Runtime":
         """The runtime in which a clause waits."""
 
     @property
@@ -60,30 +62,30 @@ class RigProtocol(Protocol):
         """The seed of all random numbers."""
 
     @property
-    def motor(self) -> Motor:
+    def motor(self) -> "Motor":
         """The motor under test."""
 
     @property
-    def motors(self) -> Sequence[Motor]:
+    def motors(self) -> "Sequence[Motor]":
         """All motors under test, which can form a group; `motor` is the first."""
 
-    def another_user_of(self, motor: Motor) -> Motor:
+    def another_user_of(self, motor: "Motor") -> "Motor":
         """Return another logical motor on the same physical motor (Ability.SEVERAL_USERS)."""
 
-    def true_position(self, motor: Motor) -> float:
+    def true_position(self, motor: "Motor") -> float:
         """Return the motor's true position [U], not from the adaptation (Ability.TRUTH)."""
 
-    def load(self, motor: Motor, torque_n_m: float) -> None:
+    def load(self, motor: "Motor", torque_n_m: float) -> None:
         """Apply a constant load torque [N·m], or force [N], to the motor (Ability.LOAD).
 
         The load acts at the motor's output from now on. A positive load turns it towards negative
         positions.
         """
 
-    def fail(self, motor: Motor) -> int:
+    def fail(self, motor: "Motor") -> int:
         """Cause a short fault in the motor's drive; return its error code (Ability.FAULT)."""
 
-    def cut(self, motor: Motor) -> AbstractContextManager[Lost]:
+    def cut(self, motor: "Motor") -> AbstractContextManager[Lost]:
         """Cut the motor's drive off the bus within the block; it keeps its power (Ability.CUT)."""
 
     def silence_host(
@@ -95,12 +97,12 @@ class RigProtocol(Protocol):
         """
 
     def lose_answers_of(
-        self, motor: Motor, *, skip: int = 0, limit: int | None = None
+        self, motor: "Motor", *, skip: int = 0, limit: int | None = None
     ) -> AbstractContextManager[Lost]:
         """Drop the answers of the motor's drive within the block (Ability.LOSE)."""
 
     def delay_answers_of(
-        self, motor: Motor, delay_s: float, *, skip: int = 0, limit: int | None = None
+        self, motor: "Motor", delay_s: float, *, skip: int = 0, limit: int | None = None
     ) -> AbstractContextManager[Lost]:
         """Delay the drive's answers to requests by this time [s] within the block (Ability.LATE).
 
@@ -114,7 +116,7 @@ class RigProtocol(Protocol):
         """Drop all frames with this identifier within the block (Ability.ONE_KIND)."""
 
     def strike(
-        self, motor: Motor | None, times: int, *, skip: int = 0
+        self, motor: "Motor | None", times: int, *, skip: int = 0
     ) -> AbstractContextManager[Lost]:
         """Destroy `times` transmission attempts of the drive, or of the host (None), in the block.
 
@@ -135,16 +137,16 @@ class RigProtocol(Protocol):
     def another_clock(self, period_s: float) -> AbstractContextManager[None]:
         """Let another node produce the clock signal with this period [s] (Ability.CLOCK)."""
 
-    def stop_from_elsewhere(self, motor: Motor) -> None:
+    def stop_from_elsewhere(self, motor: "Motor") -> None:
         """Stop the drive by a command of another program (Ability.OTHER_PROGRAM).
 
         The drive brakes, and then rests, enabled.
         """
 
-    def restart(self, motor: Motor) -> None:
+    def restart(self, motor: "Motor") -> None:
         """Restart the motor's drive, as after a power failure (Ability.RESTART)."""
 
-    def commands_to(self, motor: Motor) -> AbstractContextManager[Sequence[str]]:
+    def commands_to(self, motor: "Motor") -> AbstractContextManager[Sequence[str]]:
         """Record host commands that may move or change the motor's drive (Ability.TRAFFIC)."""
 
     def afresh(self) -> None:

@@ -15,6 +15,7 @@ one, the clause is not applicable, and the reason is reported. A claimed capabil
 work is a failure. A verdict says how one check ended.
 """
 
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum, IntEnum
@@ -95,6 +96,7 @@ class Clause:
 Kit = dict[str, Clause]
 """The clauses of a kit, by id."""
 
+_NUMBER: Final = re.compile(r"[-+]?\b\d[\d.]*(?:e[-+]?\d+)?\b")
 _CLAUSES: Final[Kit] = {}
 
 
@@ -171,6 +173,11 @@ class Diagnosis:
     key: str
     evidence: tuple[str, ...] = ()
     curves: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+
+
+def without_numbers(text: str) -> str:
+    """Return a message without its values, which differ from failure to failure."""
+    return _NUMBER.sub("#", text)
 
 
 @final

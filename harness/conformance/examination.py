@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.harness.conformance.benches.variations import OWN
 from motorhil.harness.conformance.clause import Result, Verdict
-from motorhil.harness.conformance.variations import OWN
-from motorhil.harness.conformance.worker import Promise, Supervisor
+from motorhil.harness.conformance.job import Promise
+from motorhil.harness.conformance.supervisor import Supervisor
 from motorhil.harness.rig.config.toml import RigError
 
 _HANGS_SOONER: Final = 0.1

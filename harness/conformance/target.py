@@ -6,55 +6,32 @@ A job names both, and is what a supervisor sends to its worker.
 import inspect
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Self, final
+from typing import Final, final
 
 from motorhil.harness.conformance.bench import Opener
+from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.benches.variations import (
+    OWN,
+    READ,
+    VARIATIONS,
+    applicable,
+    text_of,
+)
 from motorhil.harness.conformance.clause import Clause
+from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.run import home_of
-from motorhil.harness.conformance.variations import OWN, applicable, varied
+from motorhil.harness.conformance.places import home_of
 from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
-from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
-from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, a_kind_of
+from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig, read_rig
+from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, Source, a_kind_of
 from motorhil.harness.rig.rig import describe, installed_plugins
 from motorhil.settings import listed, nearest
 
 _LIVE_DEADLINE_S: Final = 120.0
 OWN_RIGS: Final = Path(__file__).parent / "rigs"
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Job:
-    """The adaptation and the rig to test.
-
-    Attributes:
-        adaptation: its name, or "package.module:function"; "": the adaptation of the rig's motors.
-        rig: the rig file; "": the rig that comes with the adaptation.
-        seed: the seed of all random numbers; None: the rig's seed.
-        on: the places of the rig's buses, "[BUS=]WHERE"; if empty, they are emulated in virtual
-            time.
-        controller: the drive of the rig to test, in place of an adaptation; "": none.
-    """
-
-    adaptation: str = ""
-    rig: str = ""
-    seed: int | None = None
-    on: tuple[str, ...] = ()
-    controller: str = ""
-
-    def packed(self) -> dict[str, Any]:
-        """Return the job as JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def unpacked(cls, values: Mapping[str, Any]) -> Self:
-        """Return the job from the values of `packed`."""
-        return cls(**{**values, "on": tuple(values["on"])})
 
 
 @final
@@ -66,7 +43,7 @@ class Target:
         seed: the seed of all random numbers.
         deadline_s: for one clause, in wall time [s].
         variations: the names of the variations that the rig can have.
-        home: the folder of the adaptation's code (`code_places.home_of`).
+        home: the folder of the adaptation's code (`places.home_of`).
 
     Raises:
         RigError: the adaptation or the rig cannot be used.
@@ -96,8 +73,14 @@ class Target:
         """Return an opener for benches of this rig, varied, which record all to `record`."""
         if self._places is None:
             rig = self._with(variation)
-            return lambda: RigBench(rig, self.seed, record=record, is_observed=record is not None)
-        from motorhil.harness.conformance.wall_bench import WallBench
+            return lambda: RigBench(
+                rig,
+                self.seed,
+                record=record,
+                is_observed=record is not None,
+                is_read=variation == READ,
+            )
+        from motorhil.harness.conformance.benches.wall_bench import WallBench
 
         places = self._places
         return lambda: WallBench(self.rig, places, self.seed, record=record)
@@ -105,7 +88,10 @@ class Target:
     def _with(self, variation: str) -> RigDescription:
         found = self._varied.get(variation)
         if found is None:
-            described = varied(self._described, variation)
+            source = self._described.source
+            text = text_of(source.text, VARIATIONS[variation])
+            described = parse_rig(Source(source.path, text), installed_plugins())
+            described = replace(described, name=f"{described.name}, {variation}")
             found = bench_description(described, self._job.adaptation or None)
             self._varied[variation] = found
         return found
@@ -119,7 +105,7 @@ def _described(path: Path) -> RigDescription:
 
 
 def _places(job: Job, rig: RigDescription) -> dict[str, str]:
-    from motorhil.harness.conformance.wall_bench import places_in
+    from motorhil.harness.conformance.benches.wall_bench import places_in
 
     return places_in(job.on, rig)
 

@@ -11,11 +11,15 @@ from typing import Final, final
 
 import pytest
 
-from motorhil.harness.conformance.causes import cause_of, told_in_full
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Examiner, Finding
-from motorhil.harness.conformance.target import Job
-from motorhil.harness.conformance.worker import CannotTestError, Promise, Supervisor, WrongJobError
+from motorhil.harness.conformance.job import Job, Promise
+from motorhil.harness.conformance.supervisor import (
+    CannotTestError,
+    Supervisor,
+    WrongJobError,
+)
+from motorhil.harness.conformance.verdicts.causes import cause_of, told_in_full
 from motorhil.harness.pytest_plugin.options import option, record_folder, shortened
 from motorhil.harness.rig.config.toml import RigError
 

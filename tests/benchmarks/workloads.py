@@ -303,9 +303,11 @@ def bus() -> Figures:
 
 def kit() -> Figures:
     """Measure all clauses of the kit on the bench of cia402, without imports."""
+    from motorhil.harness.conformance.claims import Claims
+    from motorhil.harness.conformance.job import Job
     from motorhil.harness.conformance.kit import all_clauses
-    from motorhil.harness.conformance.run import Claims, run_clause
-    from motorhil.harness.conformance.target import Job, Target
+    from motorhil.harness.conformance.run import run_clause
+    from motorhil.harness.conformance.target import Target
 
     target = Target(Job("cia402"))
     clauses = all_clauses().values()

@@ -12,14 +12,14 @@ from xml.etree import ElementTree
 import pytest
 
 from motorhil.harness.cli.main import main
+from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.clause import Clause, Level, NotApplicable, Result, Verdict
 from motorhil.harness.conformance.examination import Finding
+from motorhil.harness.conformance.job import Job, Loaded, Promise
 from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.results import Outcome, as_json, as_junit, as_page
-from motorhil.harness.conformance.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.run import run_clause
-from motorhil.harness.conformance.target import Job, Target
-from motorhil.harness.conformance.worker import Loaded, Promise
+from motorhil.harness.conformance.target import Target
+from motorhil.harness.conformance.verdicts.results import Outcome, as_json, as_junit, as_page
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.motorapi import ControlMode, ControlVariable

@@ -4,10 +4,11 @@ import sys
 
 import pytest
 
+from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.run import Claims, run_clause
+from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
 from tests.conformance.variants import VARIANTS, VENDORS, of_vendor, text_of
@@ -94,6 +95,12 @@ def test_clause_whose_package_is_not_installed_is_not_applicable(tmp_path, monke
     verdict = verdict_of("SHARE-11", opener_of(tmp_path, (_ACCELERATION, _ACCELERATION)))
     assert verdict.result is Result.NOT_APPLICABLE, verdict.seen
     assert verdict.seen == "hypothesis is not installed; pip install hypothesis"
+
+
+def test_shared_motor_moves_in_a_course_of_any_seed(tmp_path):
+    seed = 2  # its first courses end no motion
+    verdict = verdict_of("SHARE-11", opener_of(tmp_path, (_LONG, _LONG), seed=seed))
+    assert verdict.result is Result.PASSED, verdict.seen
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from motorhil.harness.conformance import worker as supervision
+from motorhil.harness.conformance import supervisor as supervision
+from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.run import Claims, run_clause
-from motorhil.harness.conformance.target import Job, Target
-from motorhil.harness.conformance.worker import CannotTestError, Supervisor, WrongJobError, _Worker
+from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.supervisor import CannotTestError, Supervisor, WrongJobError
+from motorhil.harness.conformance.target import Target
+from motorhil.harness.conformance.worker import _Worker
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.locking.directory import VARIABLE

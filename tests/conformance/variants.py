@@ -4,8 +4,8 @@ import re
 import tempfile
 from pathlib import Path
 
-from motorhil.harness.conformance import variations
-from motorhil.harness.conformance.variations import VARIATIONS, Change, of_drive
+from motorhil.harness.conformance.benches import variations
+from motorhil.harness.conformance.benches.variations import VARIATIONS, Change, of_drive
 from tests.support.kit_benches import RIGS
 
 _SEEKING = "seeking_method = 17\n"

@@ -4,8 +4,8 @@ from functools import cache
 from pathlib import Path
 
 import motorhil.harness.conformance
-from motorhil.harness.conformance.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.run import Claims
+from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, final
 
 from motorhil.harness.conformance.bench import Ability
+from motorhil.harness.conformance.benches.rig_bench import TimeIsUp
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.drives.client import Client
 from motorhil.harness.conformance.drives.drive import Drive
-from motorhil.harness.conformance.rig_bench import TimeIsUp
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 from motorhil.harness.rig.config.toml import RigError
@@ -177,7 +177,7 @@ class RealBench(_Bench):
         *,
         record: Path | None = None,
     ) -> None:
-        from motorhil.harness.conformance.wall_bench import bus_at, record_bus
+        from motorhil.harness.conformance.benches.wall_bench import bus_at, record_bus
         from motorhil.motorapi.runtime.wall import close_process_runtime, process_runtime
         from motorhil.traces.mcap.writer import TraceWriter
 

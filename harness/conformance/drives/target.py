@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, final
 
+from motorhil.harness.conformance.benches.variations import OWN
 from motorhil.harness.conformance.clause import Clause, NotApplicable
 from motorhil.harness.conformance.drives.bench import EmulatedBench, RealBench, node_of
 from motorhil.harness.conformance.drives.kit import drive_clauses
 from motorhil.harness.conformance.drives.objects import Mode
-from motorhil.harness.conformance.target import Job
-from motorhil.harness.conformance.variations import OWN
+from motorhil.harness.conformance.job import Job
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
@@ -86,6 +86,6 @@ class DriveTarget:
 
 def _place(job: Job, rig: RigDescription, bus: str) -> str:
     """Return the place of the drive's bus."""
-    from motorhil.harness.conformance.wall_bench import places_of
+    from motorhil.harness.conformance.benches.wall_bench import places_of
 
     return places_of(job.on, [bus], rig)[bus]

@@ -288,7 +288,7 @@ class Source:
         self.path = path
         self.text = text
         self._lines: Mapping[KeyPath, int] | None = None
-        self._root: Table | None = None
+        self._values: dict[str, object] | None = None
 
     def root(self) -> "Table":
         """Return the whole file as a table; it is parsed once.
@@ -296,9 +296,9 @@ class Source:
         Raises:
             RigError: the text is not TOML.
         """
-        if self._root is None:
-            self._root = Table(self, (), self._parsed())
-        return self._root
+        if self._values is None:
+            self._values = self._parsed()
+        return Table(self, (), self._values)
 
     def _parsed(self) -> dict[str, object]:
         try:

@@ -9,8 +9,8 @@ from motorhil.harness.cli.main import main
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.drives.kit import drive_clauses
 from motorhil.harness.conformance.drives.target import DriveTarget
+from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.run import run_clause
-from motorhil.harness.conformance.target import Job
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.version import cores_are_compiled
 from tests.conformance.drives.mutants import MUTANTS

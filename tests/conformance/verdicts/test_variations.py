@@ -1,18 +1,23 @@
 """Variations of the kit's benches: which clause meets which."""
 
+from collections import Counter
+
 import pytest
 
+from motorhil.emulators.can.frame import can_id_of
 from motorhil.harness.cli.main import main
-from motorhil.harness.conformance.kit import all_clauses
-from motorhil.harness.conformance.target import Job, Target
-from motorhil.harness.conformance.variations import (
+from motorhil.harness.conformance.benches.variations import (
     NOT_VARIED,
     OWN,
+    READ,
     VARIATIONS,
     assigned,
     not_met,
     text_of,
 )
+from motorhil.harness.conformance.job import Job
+from motorhil.harness.conformance.kit import all_clauses
+from motorhil.harness.conformance.target import Target
 from tests.support.kit_benches import KINDS, RIGS
 
 CLAUSES = list(all_clauses())
@@ -47,6 +52,28 @@ def test_every_variation_of_a_kind_opens(kind):
     for name in target.variations:
         with target.opener(None, name)() as bench:
             assert bench.name == f"{target.rig.name}, {name}"
+
+
+def sent_by(variation, duration_s=0.104):
+    """Return the (sender, identifier) of all frames on the kit's CAN bus, and their numbers."""
+    seen = Counter()
+    with Target(Job("cia402")).opener(None, variation)() as bench:
+        bench.rig.world.tap_frames(
+            lambda bus, now_ns, sender, frame: seen.update([(sender, can_id_of(frame))])
+        )
+        bench.runtime.run_for(duration_s)
+    return seen
+
+
+def test_busy_bus_carries_its_declared_messages():
+    seen = sent_by("busy bus")
+    assert [seen["others", identifier] for identifier in (0x90, 0x98, 0x6A0, 0x6A8)] == [20] * 4
+
+
+def test_second_program_asks_the_drives_by_itself():
+    asked = {identifier for _, identifier in sent_by(READ)}
+    assert {0x601, 0x602} <= asked  # CiA 301: SDO requests to nodes 1 and 2
+    assert 0x601 not in {identifier for _, identifier in sent_by(OWN)}
 
 
 def test_rig_of_a_user_is_not_varied():

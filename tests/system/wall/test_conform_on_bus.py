@@ -5,7 +5,8 @@ import json
 import pytest
 
 from motorhil.harness.conformance.drives.target import OWN_RIG
-from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.job import Job
+from motorhil.harness.conformance.target import Target
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.kit_benches import RIGS

@@ -314,7 +314,9 @@ def done_is_reported_at_rest_at_target(bench: RigProtocol) -> None:
         begin, expected_s = motor.position(), shortest_s(motor, way)
         follow(motor, TrapezoidalTrajectory(way))
         begun_ns = bench.runtime.now_ns()
-        expect(not motor.is_done(), f"done was reported at the start of a move of {way:g}")
+        expect(
+            not motor.is_done(), f"done was reported too early, at the start of a move of {way:g}"
+        )
         finish(bench, motor, expected_s)
         left = begin + way - motor.position()
         taken_s = elapsed_s(bench, begun_ns)
@@ -326,7 +328,8 @@ def done_is_reported_at_rest_at_target(bench: RigProtocol) -> None:
         expect_rest(bench, motor, "done was reported")
         expect(
             expected_s + early_s - tolerance_s <= taken_s <= expected_s + late_s + tolerance_s,
-            f"done was reported after {taken_s:.3f} s; the move takes {expected_s:.3f} s",
+            f"done was reported {'late' if taken_s > expected_s else 'too early'}, after "
+            f"{taken_s:.3f} s; a move of {way:g} {unit} takes {expected_s:.3f} s",
         )
 
 

@@ -56,7 +56,7 @@ def has_known_finding(clause: str, name: str) -> bool:
 @cache
 def opener(name: str) -> Any:
     """Return an opener of this bench."""
-    from motorhil.harness.conformance.rig_bench import RigBench, bench_description
+    from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
     from motorhil.harness.rig.config.rig_file import read_rig
     from motorhil.harness.rig.rig import installed_plugins
     from tests.conformance import variants
@@ -77,14 +77,15 @@ def opener(name: str) -> Any:
 @cache
 def claims(name: str) -> Any:
     """Return the claims of the motors of this bench."""
-    from motorhil.harness.conformance.run import Claims
+    from motorhil.harness.conformance.claims import Claims
 
     return Claims(opener(name))
 
 
 def verdict(clause: str, name: str, *, claims_anew: bool = False) -> Any:
     """Return the verdict of a clause on a bench."""
-    from motorhil.harness.conformance.run import home_of, run_clause
+    from motorhil.harness.conformance.places import home_of
+    from motorhil.harness.conformance.run import run_clause
 
     found = clauses(name)[clause]
     if is_of_drive(name):

@@ -1,9 +1,10 @@
 """The conformance kit on a real SocketCAN interface."""
 
 from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
-from motorhil.harness.conformance.target import Job, Target
+from motorhil.harness.conformance.target import Target
 from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.traces.mcap.reader import read_trace
 from tests.system.vcan.inside.on_fencing import serving_on

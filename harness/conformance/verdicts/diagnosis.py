@@ -15,9 +15,15 @@ from typing import Final, NamedTuple, final
 
 import motorhil
 from motorhil.harness.conformance.bench import Ability
-from motorhil.harness.conformance.clause import Clause, Diagnosis, Violated
-from motorhil.harness.conformance.observation import PERIOD_NS, Message, Observation, Sample
+from motorhil.harness.conformance.clause import Clause, Diagnosis, Violated, without_numbers
+from motorhil.harness.conformance.verdicts.observation import (
+    PERIOD_NS,
+    Message,
+    Observation,
+    Sample,
+)
 from motorhil.motorapi import (
+    ControlMode,
     ControlVariable,
     DeadlineExceeded,
     Motor,
@@ -51,11 +57,17 @@ _FACTORS: Final = (
 )
 _COMMON: Final = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
 """Factors that two values of a message may have for other reasons."""
+_TIMES: Final = (1e3, 1e6, 1e-3, 1e-6)
+"""Factors of two times that are mistakes; durations differ for many reasons."""
 _NEAR: Final = 0.012
 _STRAIGHT: Final = 0.999
 _OFF: Final = 0.015
 _LATE: Final = 0.08
 """Allowed deviation of the factor of values that are told late, while they change."""
+_ABOUT: Final = 0.2
+"""Allowed deviation of the size of a value with the wrong sign."""
+_EXACT: Final = 0.004
+"""Allowed deviation of the factor of distances, which are known to the motor's resolution."""
 _WINDOWS: Final = 10.0
 _REST_SAMPLES: Final = 10
 _CURVE_POINTS: Final = 400
@@ -63,11 +75,12 @@ _VALUE: Final = re.compile(r"(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?) (rad/s|rad|m/s|m|NÂ
 _DISTURBS: Final = {
     *(Ability.CUT, Ability.LOSE, Ability.SILENCE_HOST, Ability.BUS_ERRORS),
     *(Ability.STOP_SYNC, Ability.CLOCK, Ability.OTHER_PROGRAM, Ability.RESTART),
+    *(Ability.ONE_KIND, Ability.LATE),
 }
 _TARGET: Final = "607Ah"
+_ABSENT: Final = "object does not exist"
 _EMULATORS: Final = str(Path(motorhil.__file__).parent / "emulators") + os.sep
 _NS: Final = 1e9
-_NUMBER: Final = re.compile(r"[-+]?\b\d[\d.]*(?:e[-+]?\d+)?\b")
 
 
 class _Hint(NamedTuple):
@@ -105,17 +118,16 @@ def diagnose(
         models = [view.motor.model.gear_ratio for view in views]
         hints += _in_message(seen, models[0])
         if not is_disturbed or isinstance(error, DeadlineExceeded):
-            hints += [hint for view in views for hint in view.refusals()]
+            hints += [
+                hint
+                for view in views
+                for hint in view.refusals(is_violated=isinstance(error, Violated))
+            ]
     else:
         hints += _in_message(seen, None)
     chosen = [crash] if crash else [*hints, _of_error(error, seen, home)]
     evidence = [f"also: {hint.cause}" for hint in dict.fromkeys(chosen[1:-1])] + evidence
     return Diagnosis(chosen[0].cause, chosen[0].key, tuple(dict.fromkeys(evidence)), curves)
-
-
-def without_numbers(text: str) -> str:
-    """Return a message without its values, which differ from failure to failure."""
-    return _NUMBER.sub("#", text)
 
 
 # --- from the error ----------------------------------------------------------------------------
@@ -177,7 +189,7 @@ def _of_error(error: BaseException, seen: str, home: str) -> _Hint:
 # --- from values -------------------------------------------------------------------------------
 
 
-def name_of(factor: float, gear_ratio: float | None = None) -> str:
+def name_of(factor: float, gear_ratio: float | None = None, within: float = _NEAR) -> str:
     """Return the usual mistake with this factor; "" if none is known."""
     named = [*_FACTORS]
     if gear_ratio is not None and abs(gear_ratio) > 1.0:
@@ -190,9 +202,10 @@ def name_of(factor: float, gear_ratio: float | None = None) -> str:
     if isclose(abs(factor), 1.0, rel_tol=_NEAR):
         return sign
     for value, name in named:
-        if isclose(abs(factor), value, rel_tol=_NEAR):
+        near = _NEAR if not isclose(value, 1.0, rel_tol=3.0 * _NEAR) else 0.5 * _NEAR
+        if isclose(abs(factor), value, rel_tol=min(near, within)):
             return f"{sign}, {name}" if sign else name
-    return sign
+    return sign if isclose(abs(factor), 1.0, rel_tol=_ABOUT) else ""
 
 
 def _in_message(seen: str, gear_ratio: float | None) -> Iterator[_Hint]:
@@ -204,13 +217,17 @@ def _in_message(seen: str, gear_ratio: float | None) -> Iterator[_Hint]:
     for unit, values in by_unit.items():
         if len(values) < 2 or not values[0] or not values[1]:
             continue
-        factor = values[0] / values[1]
-        name = name_of(factor, gear_ratio)
-        if unit == "s" and not any(isclose(factor, one, rel_tol=0.1) for one in (1e3, 1e6)):
-            continue  # durations differ for many reasons
+        first = values[0]
+        if " after that of " in seen:  # a difference of two times
+            first += values[1]
+        factor = first / values[1]
+        within = _EXACT if unit in ("rad", "m") else _NEAR
+        name = name_of(factor, gear_ratio, within)
+        if unit == "s" and not any(isclose(factor, one, rel_tol=0.1) for one in _TIMES):
+            continue
         if name and name.removeprefix("sign reversed, ") not in usual:
             topic = seen.partition(":")[0] if ":" in seen else "value"
-            told = f"{topic}: {values[0]:g} {unit} is {factor:.6g} times {values[1]:g} {unit}"
+            told = f"{topic}: {first:g} {unit} is {factor:.6g} times {values[1]:g} {unit}"
             yield _Hint(f"values {topic} {name}", f"{told}: {name}")
             return
 
@@ -262,20 +279,20 @@ class _View:
 
     def hints(self, *, is_disturbed: bool, may_be_pushed: bool) -> Iterator[_Hint]:
         """Yield the likely causes that the motion shows."""
-        yield from self._told(is_disturbed)
-        if not is_disturbed:
+        if not is_disturbed:  # a value told before a loss gives any factor
+            yield from self._told()
             yield from self._asked()
             if not may_be_pushed:
                 yield from self._strange()
 
-    def _told(self, is_disturbed: bool) -> Iterator[_Hint]:
+    def _told(self) -> Iterator[_Hint]:
         """Yield the hints from told and true values; told ones are late by some milliseconds."""
         position = _pairs(self._resting(), lambda one: one.truth, lambda one: one.told)
         slope, off = _slope(position), _OFF
         if slope is None:
             position = _pairs(self._samples, lambda one: one.truth, lambda one: one.told)
             slope, off = _slope(position), _LATE
-        if slope == 0.0 and not is_disturbed:
+        if slope == 0.0 and self._was_heard():
             text = "position told does not change while the motor moves: not read again"
             yield _Hint("told position frozen", f"{self.motor.name}: {text}")
         elif slope and abs(slope - 1.0) > off:
@@ -284,6 +301,10 @@ class _View:
         slope = _slope(velocity)
         if slope and abs(slope - 1.0) > _LATE:
             yield self._factor("velocity told", "the truth", slope)
+
+    def _was_heard(self) -> bool:
+        """Return whether the motor told its position again and again, which costs no request."""
+        return len({one.heard_ns for one in self._samples}) > _REST_SAMPLES
 
     def _resting(self) -> list[Sample]:
         """Return the samples after a time at rest."""
@@ -304,8 +325,15 @@ class _View:
         """Yield the hints from the last motion: what was asked, sent and made."""
         run = self.motor.logical.physical.run
         motion = None if run is None else run.motion
-        if run is None or motion is None or motion.variable is not ControlVariable.POSITION:
+        if run is None or motion is None:
             return
+        if motion.variable is ControlVariable.POSITION:
+            yield from self._way_made(run, motion)
+        elif motion.variable is ControlVariable.TORQUE and motion.mode is ControlMode.SETPOINT:
+            yield from self._torque_made(run, motion)
+
+    def _way_made(self, run: ActiveMotion, motion: Motion) -> Iterator[_Hint]:
+        """Yield the hints from a motion to a position."""
         way = motion.target - motion.start
         window = self._window()
         if motion.function is not None or abs(way) < window:
@@ -326,8 +354,14 @@ class _View:
             if (factor > 1.0 + _OFF or factor < -_OFF) and not is_distance:
                 yield from self._wrong_way("target sent", motion, factor)
                 return
+        waited = self._previous_first(motion, known)
+        if waited is not None:
+            yield waited
+            return
         last = known[-_REST_SAMPLES:]
-        if len(known) < 2 or (not run.finished and max(last) - min(last) > window / _WINDOWS):
+        if len(known) < _REST_SAMPLES or (
+            not run.finished and max(last) - min(last) > window / _WINDOWS
+        ):
             return  # not at rest yet
         factor = (last[-1] - known[0]) / way
         if abs(factor) < _OFF:
@@ -335,7 +369,7 @@ class _View:
         elif abs(factor - 1.0) > _OFF and abs(last[-1] - motion.target) > _OFF * abs(way):
             yield from self._wrong_way("distance made", motion, factor, last[-1])
         elif motion.duration_s is not None:
-            yield from self._timed(since, motion.duration_s)
+            yield from self._timed(since, motion, motion.duration_s)
 
     def _strange(self) -> Iterator[_Hint]:
         """Yield the hint of a motor that moves without any command."""
@@ -357,7 +391,29 @@ class _View:
             text = f"the stop by {run.interrupted_by} did not end the motion: it reached its target"
             yield _Hint("stop ignored", f"{self.motor.name}: {text}")
 
-    def _timed(self, since: Sequence[Sample], duration_s: float) -> Iterator[_Hint]:
+    def _torque_made(self, run: ActiveMotion, motion: Motion) -> Iterator[_Hint]:
+        """Yield the hint of a torque that is a usual factor of the one asked."""
+        made = [one.torque for one in self._samples if one.time_ns > run.since_ns and one.torque]
+        if len(made) < _REST_SAMPLES or not motion.target:
+            return
+        factor = sorted(made[-_REST_SAMPLES:])[_REST_SAMPLES // 2] / motion.target
+        if name_of(factor, self.motor.model.gear_ratio):
+            yield self._factor("torque made", "the torque asked", factor)
+
+    def _previous_first(self, motion: Motion, known: Sequence[float]) -> _Hint | None:
+        """Return the hint of a motor that reached its previous target before it went to this."""
+        low, high = sorted((motion.start, motion.target))
+        for one in self._observation.targets(self.motor.name)[:-1]:
+            away = max(low - one, one - high)
+            if away <= self._window():
+                continue  # on the way
+            if any(abs(place - one) <= self._window() for place in known):
+                unit = self.motor.model.unit
+                text = f"went on to its previous target {one:g} {unit}: the new target waited"
+                return _Hint("previous target first", f"{self.motor.name}: {text}")
+        return None
+
+    def _timed(self, since: Sequence[Sample], motion: Motion, duration_s: float) -> Iterator[_Hint]:
         """Yield the hint of a motion that did not take its duration."""
         moving = [
             one.time_ns
@@ -367,12 +423,38 @@ class _View:
         if len(moving) < _REST_SAMPLES:
             return
         took_s = (moving[-1] - moving[0] + PERIOD_NS) / _NS
-        if took_s < (1.0 - _LATE) * duration_s:
-            yield _Hint(
-                "duration",
-                f"{self.motor.name}: the motion took {took_s:.3f} s: "
-                f"its duration of {duration_s:.3f} s was not kept",
+        if took_s >= (1.0 - _LATE) * duration_s:
+            return
+        text = f"the motion took {took_s:.3f} s: its duration of {duration_s:.3f} s was not kept"
+        ramps = self._ramps([one for one in since if moving[0] <= one.time_ns <= moving[-1]])
+        steep = motion.deceleration * (1.0 + _LATE)
+        if ramps and motion.deceleration < motion.acceleration and ramps[1] > steep:
+            unit = f"{self.motor.model.unit}/sÂ²"
+            text += (
+                f"; it slows down at {ramps[1]:.3g} {unit}, not {motion.deceleration:.3g} {unit}"
             )
+        yield _Hint("duration", f"{self.motor.name}: {text}")
+
+    @staticmethod
+    def _ramps(moving: Sequence[Sample]) -> tuple[float, float] | None:
+        """Return the mean acceleration and deceleration between 20 % and 80 % of the top speed."""
+        speeds = [abs(one.velocity) for one in moving if one.velocity is not None]
+        if len(speeds) < _REST_SAMPLES:
+            return None
+        top = max(speeds)
+        begin = speeds.index(top)
+        end = len(speeds) - 1 - speeds[::-1].index(top)
+        counts = (
+            sum(0.2 * top < speed < 0.8 * top for speed in part)
+            for part in (speeds[:begin], speeds[end:])
+        )
+        rise, fall = counts
+        period_s = PERIOD_NS / _NS
+        return (
+            (0.6 * top / (rise * period_s), 0.6 * top / (fall * period_s))
+            if rise and fall
+            else None
+        )
 
     def _place(self, one: Sample) -> float | None:
         demand = self._demand(one)
@@ -395,7 +477,7 @@ class _View:
     ) -> Iterator[_Hint]:
         """Yield the hint of a distance that is `factor` times the one asked; it ends at `place`."""
         start, target = motion.start, motion.target
-        way, unit = target - start, self.motor.model.unit
+        way, unit, gear = target - start, self.motor.model.unit, self.motor.model.gear_ratio
         before = [] if place is None else self._observation.targets(self.motor.name)[:-1]
         if isclose(factor * way, target, rel_tol=_OFF) and abs(start) > _OFF * abs(target):
             text = f"the absolute target {target:g} {unit} was taken as a distance"
@@ -403,11 +485,23 @@ class _View:
             text = f"the distance {way:g} {unit} was taken as an absolute position"
         elif any(abs(one - (place or 0.0)) <= _OFF * abs(way) for one in before):
             text = "rests at its previous target: the new one was not sent, or not taken"
+        elif place is not None and self._turns(place - target):
+            turns = self._turns(place - target)
+            text = f"rests {turns:+d} turns from its target {target:g} {unit}: reduced to a turn"
+        elif place is not None and 0.0 < factor < 1.0 and not name_of(factor, gear, _EXACT):
+            return  # it was stopped short, which is no mistake of units
         else:
             yield self._factor(what, "the distance asked", factor)
             return
         key = text.partition(" was ")[0] if place is None else text
         yield _Hint(f"way {without_numbers(key)}", f"{self.motor.name}: {text}")
+
+    def _turns(self, distance: float) -> int:
+        """Return the whole number of turns of a distance; 0 if it is not one, or not an angle."""
+        if self.motor.model.unit != "rad":
+            return 0
+        turns = round(distance / (2.0 * _PI))
+        return turns if abs(distance - turns * 2.0 * _PI) <= self._window() else 0
 
     def _sent(self) -> float | None:
         """Return the last target position that the host has sent [inc]."""
@@ -418,13 +512,15 @@ class _View:
                     found = fact.value
         return float(found) if isinstance(found, int) else None
 
-    def refusals(self) -> Iterator[_Hint]:
+    def refusals(self, *, is_violated: bool) -> Iterator[_Hint]:
         """Yield the refusals of the drive: aborts, exceptions and emergencies."""
         for one in reversed(self.messages):
             event = one.event
             is_abort = event.kind is Kind.SDO_RESPONSE and ": abort" in event.text
             is_exception = event.kind is Kind.MODBUS_RESPONSE and "exception" in event.text
             is_error = event.kind is Kind.EMERGENCY and "no error" not in event.text
+            if is_abort and is_violated and _ABSENT in event.text:
+                continue  # asked for on trial: many drives lack an optional object
             if is_abort or is_exception or is_error:
                 yield _Hint(
                     f"refused {without_numbers(event.text)}", f"the drive answered: {event.text}"

@@ -37,7 +37,8 @@ class Sample(NamedTuple):
     """One instant of a motor; None: not known. U is the unit of its position.
 
     Attributes: time_ns; truth, velocity: of the plant [U, U/s]; told, told_velocity: the latest
-    values heard by the application [U, U/s]; position_inc, demand_inc: of the drive.
+    values heard by the application [U, U/s]; position_inc, demand_inc: of the drive; torque: of the
+    motor, at the output [N·m or N]; heard_ns: when the told values were heard.
     """
 
     time_ns: int
@@ -47,6 +48,8 @@ class Sample(NamedTuple):
     told_velocity: float | None = None
     position_inc: float | None = None
     demand_inc: float | None = None
+    torque: float | None = None
+    heard_ns: int | None = None
 
 
 @final
@@ -73,7 +76,8 @@ class Observation:
         rig: the open rig.
         description: its description.
         names: the motors to observe.
-        truth_of: the true position and velocity of a motor [U, U/s], and the drive's own values.
+        truth_of: the true position, velocity and torque of a motor [U, U/s, N·m or N], and the
+            drive's own values.
 
     Attributes:
         motors: the observed motors, by name.
@@ -147,6 +151,8 @@ class Observation:
                     None if latest is None else latest.velocity,
                     truth.get("position_inc"),
                     truth.get("demand_inc"),
+                    truth.get("torque"),
+                    None if latest is None else latest.time_ns,
                 )
             )
 

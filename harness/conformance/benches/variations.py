@@ -6,12 +6,7 @@ set grows with every correct motor that was accused. A user's rig is used as it 
 
 import random
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import Final
-
-from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
-from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import installed_plugins
 
 _PLANT = 'plant = { preset = "wheel_60w" }'
 _FINE = "window_rad = 0.001\nfollowing_rad = 0.0005"
@@ -85,6 +80,18 @@ _OF_THE_DRIVE: list[Change] = [
     ("acceleration_" + _UNIT.format("2"), ""),
 ]
 _NO_IDENTIFIERS = ", ".join(f'"{index}h:1" = 0x80000000' for index in ("1400", "1401", "1800"))
+_BUSY: list[Change] = [  # 1.2 ms of 5 ms in frames of higher priority, as much in lower ones
+    (
+        "[controller.left]",
+        "".join(
+            f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
+            for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))
+        )
+        + "[controller.left]",
+    )
+]
+READ: Final = "a second program reads"
+"""The variation in which another program reads the motors; see `RigBench`."""
 _ELASTIC = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
@@ -116,6 +123,8 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     "priority queues": [("[controller.left]", f"{_PRIORITY}[controller.left]")],
     "three motors": _THREE,
     "slow bus": [("1_000_000", "125_000")],
+    "busy bus": _BUSY,
+    READ: [],
     "slow SDO server": of_drive("timing = { sdo_reply_s = 0.005 }"),
     "friction": [
         *of_plant("coulomb_friction_n_m = 0.008"),
@@ -140,7 +149,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
 
 _GENERAL: Final = ("reversing gear", "starts at 5 rad", "fast clock", "slow clock")
 """Variations that do not depend on the kind of the controllers."""
-NOT_VARIED: Final = ("busy bus", "a second program")
+NOT_VARIED: Final = ("a second program that takes the motor",)
 """Conditions that no variation makes yet; a run reports that they were not met."""
 OWN: Final = ""
 """The name of the rig as it is."""
@@ -174,13 +183,6 @@ def text_of(text: str, changes: Sequence[Change]) -> str:
 def changes_claims(name: str) -> bool:
     """Return whether motors with this variation claim less than those of the rig as it is."""
     return any("6502h" in after for _, after in VARIATIONS[name])
-
-
-def varied(rig: RigDescription, name: str) -> RigDescription:
-    """Return the rig with this variation; its name says so."""
-    text = text_of(rig.source.text, VARIATIONS[name])
-    described = parse_rig(Source(rig.source.path, text), installed_plugins())
-    return replace(described, name=f"{rig.name}, {name}")
 
 
 def assigned(clauses: Sequence[str], names: Sequence[str], seed: int) -> dict[str, str]:

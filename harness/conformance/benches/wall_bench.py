@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
 from motorhil.harness.conformance.bench import Ability, Lost
+from motorhil.harness.conformance.benches.rig_bench import SECOND_USER, physical_name
 from motorhil.harness.conformance.clause import NotApplicable
-from motorhil.harness.conformance.rig_bench import SECOND_USER, physical_name
 from motorhil.harness.recording.sources import Kind, PlaceError, open_bus, parse_place
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import RigDescription

@@ -1,19 +1,20 @@
 """An emulated rig in virtual time as a bench, with all abilities."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Final, Self, final
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
-from motorhil.emulators.can.frame import can_id_of, data_of, pack
+from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack, pack_fd
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
-from motorhil.harness.conformance.observation import Observation
+from motorhil.harness.conformance.verdicts.observation import Observation
+from motorhil.harness.rig.config.buses import BusDescription
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
@@ -22,9 +23,12 @@ from motorhil.harness.rig.config.units import units_per_plant_rad
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
-from motorhil.motorapi import Motor, UsageError
+from motorhil.motorapi import Motor, MotorError, UsageError
 
 SECOND_USER: Final = "another"
+_READER: Final = "reader"
+_READ_PERIOD_S: Final = 0.02
+_OTHERS: Final = "others"
 _FAULT_NS: Final = 50_000_000
 """Time until the cause of a fault is gone [ns]."""
 _CANOPEN: Final = ("cia402", "cia401")
@@ -90,7 +94,10 @@ class RigBench:
         seed: the seed of all random numbers.
         record: an MCAP file for all events; `afresh` begins a new record.
         is_observed: keep what a diagnosis needs, in `observation`.
+        is_read: another program reads the positions of the motors under test all the time.
         limit_s: the time limit in the rig's time, after which `TimeIsUp` ends all waits [s].
+
+    The declared messages of other senders are sent.
     """
 
     def __init__(
@@ -100,8 +107,16 @@ class RigBench:
         *,
         record: Path | None = None,
         is_observed: bool = False,
+        is_read: bool = False,
         limit_s: float = 120.0,
     ) -> None:
+        self._readers: tuple[str, ...] = ()
+        if is_read:
+            motors = dict(description.motors)
+            for one in description.conformance.motors:
+                motors[f"{one}-{_READER}"] = replace(motors[one], name=f"{one}-{_READER}")
+            self._readers = tuple(motors)[len(description.motors) :]
+            description = replace(description, motors=motors)
         self._description = description
         self._record = record
         self._is_observed = is_observed
@@ -116,10 +131,34 @@ class RigBench:
         self.rig: Rig = Rig(self._description, seed=self.seed, record=self._record)
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
 
+        for bus in self._description.buses.values():
+            self._send_messages(bus)
+        for reader in self._readers:
+            self.runtime.spawn(reader, partial(self._read, reader))
+
         self.observation: Observation | None = None
         if self._is_observed:
             names = self.facts.motors
             self.observation = Observation(self.rig, self._description, names, self._seen_truth)
+
+    def _send_messages(self, bus: BusDescription) -> None:
+        """Send the declared messages of others from a node of their own, each with its period."""
+        if not bus.messages:
+            return
+        others = self.rig.world.add_host(bus.name, _OTHERS, lambda *_: None)
+        for one in bus.messages:
+            can_id, data = one.can_id | (EFF_FLAG if one.extended else 0), bytes(one.length)
+            rate = BRS if one.bit_rate_switch else 0
+            frame = pack_fd(can_id, data, rate) if one.fd else pack(can_id, data)
+            self.runtime.every(one.period_s, partial(others.send, frame))
+
+    def _read(self, reader: str) -> None:
+        """Read a motor's position as another program does, whatever the drive answers."""
+        runtime, motor = self.runtime, self.rig.motors[reader]
+        while True:
+            runtime.wait_until(lambda: False, _READ_PERIOD_S)
+            with suppress(MotorError):
+                motor.position()
 
     @property
     def name(self) -> str:
@@ -135,6 +174,7 @@ class RigBench:
                 return truth
             truth["position"] = truth["position_rad"] * scale
             truth["velocity"] = truth["velocity_rad_s"] * scale
+            truth["torque"] = truth.get("torque_n_m", 0.0) / scale
         return truth
 
     def _time_is_up(self, now_ns: int) -> None:
@@ -427,6 +467,8 @@ class RigBench:
             return {}
         prefix = self._prefix(motor)
         truth = self.rig.controllers[described.controller].snapshot()
+        if not prefix:
+            return truth
         return {name.removeprefix(prefix): truth[name] for name in truth if name.startswith(prefix)}
 
     def _units_per_rad(self, motor: Motor) -> float:

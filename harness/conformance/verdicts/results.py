@@ -35,10 +35,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.conformance.causes import Group, cause_of, groups_of, more_of, told_in_full
 from motorhil.harness.conformance.clause import Diagnosis, Result
 from motorhil.harness.conformance.examination import Finding
-from motorhil.harness.conformance.worker import Loaded
+from motorhil.harness.conformance.job import Loaded
+from motorhil.harness.conformance.verdicts.causes import (
+    Group,
+    cause_of,
+    groups_of,
+    more_of,
+    told_in_full,
+)
 
 _NS: Final = 1e9
 _ODD: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.harness.conformance.diagnosis import without_numbers
+from motorhil.harness.conformance.clause import without_numbers
 from motorhil.harness.conformance.examination import Finding
 
 _NS: Final = 1e9

@@ -1,0 +1,1 @@
+"""Benches for the checks: emulated rigs, their variations, and real buses."""

@@ -1,0 +1,1 @@
+"""Verdicts explained: observation of a run, causes of failures, and results as files."""
