@@ -16,10 +16,11 @@ DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_
 
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.
+BYTECODE := build/bytecode
 test test-compiled: export PYTHONDONTWRITEBYTECODE :=
-test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
+test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/$(BYTECODE)
 
-.PHONY: help install demo docs wheel quick test check bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled test-compiled fuzz-compiled
+.PHONY: help install demo docs wheel quick test check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled test-compiled fuzz-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -59,16 +60,28 @@ nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples,
 	$(MAKE) --no-print-directory rule-mutants
 	-$(MAKE) --no-print-directory rule-mutants RULES="--seed $$(date +%s)"
 
-test: check  ## everything that must hold, on one machine, in minutes; repetition is for nightly
+# Import contracts and documents have tests, so that these need not be checked before.
+test: $(READY)  ## everything that must hold, on one machine, in minutes; repetition is for nightly
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target types style $(BYTECODE)/.made
 	$(BIN)/python -m pytest $(WORKERS)
 
-check: $(READY)  ## style, types, import contracts, links and language of the documents
+check: style types  ## style, types, import contracts, links and language of the documents
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
+
+style: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
 	@$(BIN)/python -m tests.architecture.structure
-	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
+
+types: $(READY)
+	$(BIN)/mypy
+
+# Once on a fresh clone, beside the types: otherwise each worker would compile all tests for itself.
+$(BYTECODE)/.made: $(READY)
+	@mkdir -p $(BYTECODE) && $(BIN)/python -m pytest -p no:cacheprovider --collect-only > $(BYTECODE)/tests.txt || \
+	    { cat $(BYTECODE)/tests.txt; exit 1; }
+	@touch $@
 
 docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk: build/docs/html/index.html
 	$(BIN)/python -m motorhil.harness.documentation docs build/docs/source

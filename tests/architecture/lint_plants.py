@@ -21,7 +21,7 @@ def lint(contract: str) -> tuple[bool, str]:
     """Return whether the contract is kept ("": all contracts), and import-linter's output."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
         limit = (contract,) if contract else ()
-        status = lint_imports(limit_to_contracts=limit, no_cache=True, no_logo=True)
+        status = lint_imports(limit_to_contracts=limit, cache_dir="cache", no_logo=True)
     return status == 0, out.getvalue()
 
 

@@ -222,10 +222,9 @@ def test_wrong_recorded_table_is_reported_with_line(folder, say, line, told):
     assert "other.toml:" in err
 
 
-def test_demo_against_altered_recording_fails(tmp_path, say, monkeypatch):
+def test_demo_against_altered_recording_fails(tmp_path, say, monkeypatch, demo):
     monkeypatch.chdir(tmp_path)
-    assert say("demo")[0] == 0
-    status, _, err = say("demo", "--against", "out/demo.mcap")
+    status, _, err = say("demo", "--against", str(demo))
     assert status == 0
     assert "14 recorded controllers: 892 commands, all answered as recorded" in err
 
@@ -240,7 +239,7 @@ def test_demo_against_altered_recording_fails(tmp_path, say, monkeypatch):
                 return payload[:-3] + bytes([payload[-3] ^ 0x40]) + payload[-2:]
         return payload
 
-    copied(Path("out/demo.mcap"), Path("altered.mcap"), change)
+    copied(demo, Path("altered.mcap"), change)
     status, _, err = say("demo", "--against", "altered.mcap")
     assert len(done) > 3
     assert status == 1
