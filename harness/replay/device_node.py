@@ -158,6 +158,10 @@ class RecordedNode(RecordedController):
     ) -> None:
         timed, left_out = _timed(log, bit_ns, data_bit_ns)
         notes = [note] if note else []
+        fast = sorted(log.periods_ns.keys() - timed.periods_ns.keys())
+        if fast:
+            named = ", ".join(f"{one:03X}h every {log.periods_ns[one] / 1e3:g} us" for one in fast)
+            notes.append(f"more periodic frames than the bus can carry, so not continued: {named}")
         if left_out:
             notes.append(
                 f"{left_out} CAN FD frames of node {node_id} are left out: it is classical"
@@ -336,14 +340,17 @@ def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
 def _timed(log: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog, int]:
     """Return the log with frame durations at these bit times, and the number of omitted frames."""
     left_out = 0
+    durations_ns: dict[int, int] = {}  # by identifier
 
     def timed(sent: list[Sent]) -> list[Sent]:
         nonlocal left_out
         kept = [one for one in sent if data_bit_ns or len(one.data) == FRAME_BYTES]
         left_out += len(sent) - len(kept)
-        return [
+        kept = [
             replace(one, duration_ns=duration_ns(one.data, bit_ns, data_bit_ns)) for one in kept
         ]
+        durations_ns.update((_identifier(one), one.duration_ns) for one in kept)
+        return kept
 
     steps = [
         replace(
@@ -354,7 +361,32 @@ def _timed(log: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog
         )
         for step in log.steps
     ]
-    return replace(log, steps=steps), left_out
+    periods_ns = _carried(log.periods_ns, durations_ns)
+    if periods_ns.keys() != log.periods_ns.keys():
+        for step in steps:
+            step.reactions = [
+                replace(one, goes_on=one.goes_on and _identifier(one) in periods_ns)
+                for one in step.reactions
+            ]
+    return replace(log, steps=steps, periods_ns=periods_ns), left_out
+
+
+def _carried(periods_ns: Mapping[int, int], durations_ns: Mapping[int, int]) -> dict[int, int]:
+    """Return the periods, longest first, of frames that fit on the bus together.
+
+    More than that would fill the node's transmit queue, without end.
+    """
+    found: dict[int, int] = {}
+    load = 0.0
+    for identifier, period_ns in sorted(periods_ns.items(), key=lambda one: -one[1]):
+        load += durations_ns.get(identifier, 0) / period_ns
+        if load <= 1.0:
+            found[identifier] = period_ns
+    return found
+
+
+def _identifier(sent: Sent) -> int:
+    return int.from_bytes(sent.data[:4], "little")
 
 
 @final

@@ -6,9 +6,10 @@ or a day. A delay of the machine affects only the frames of that moment, and is 
 
 The same code serves virtual time and wall time; it waits only in a Runtime.
 
-The cost of a replay grows with its frames and, in virtual time, with the frames that the rig sends
-in between: some milliseconds of processor time for a second with ten heartbeats. A pause of a day
-therefore takes minutes. Longer ones are refused unless allowed, and so are damaged stamps.
+The cost of a replay grows with its frames, some 0.1 ms of processor time each, and in virtual time
+with the frames that the rig sends in between: some milliseconds for a second with ten heartbeats. A
+pause of a day therefore takes minutes. Longer ones are refused unless allowed, and so are damaged
+stamps.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

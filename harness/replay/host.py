@@ -16,6 +16,7 @@ devices have booted, and both sides are compared from the host's first frame on.
 with the same names and objects: those of the recording, completed by those of the rig.
 """
 
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -176,7 +177,7 @@ class HostPlayer:
         self._waiting_since_ns = 0
         self._given_up: set[Subject] = set()  # subjects whose answers may still arrive late
         self._in_flight: list[HostStep] = []
-        self._waits: list[Told] = []
+        self._waits: deque[Told] = deque()
         self._is_started = False
         self._begin()
 
@@ -260,7 +261,7 @@ class HostPlayer:
     def _begin(self) -> None:
         """Set up the observations that the next step waits for."""
         if not self.is_over():
-            self._waits = list(self._steps[self.sent].waits)
+            self._waits = deque(self._steps[self.sent].waits)
 
     def _is_out(self, step: HostStep, now_ns: int) -> None:
         """Note that a frame of the host has been on its bus."""
@@ -270,7 +271,7 @@ class HostPlayer:
     def _is_ready(self) -> bool:
         """Return True if everything that this step waits for has arrived."""
         while self._waits and self._has_come(self._waits[0]):
-            del self._waits[0]
+            self._waits.popleft()
         return not self._waits
 
     def _has_come(self, awaited: Told) -> bool:
@@ -294,7 +295,7 @@ class HostPlayer:
 
     def _give_up(self, now_ns: int) -> None:
         """Give up the observation that this step waits for."""
-        awaited = self._waits.pop(0)
+        awaited = self._waits.popleft()
         heard = self._told.get(awaited.subject, [])
         waits = self._in_vain.get(awaited.subject, 0)
         self._in_vain[awaited.subject] = waits + 1

@@ -73,7 +73,7 @@ class ExchangePlayer:
         self._next = 0  # index in _commands of the first one after it
         self._values: dict[tuple[str, int], bytes] = {}  # last value, by subject
         self._told: dict[Key, Step] = {}
-        self._polls: dict[Key, list[Step]] = {}  # remaining polls of the epoch
+        self._polls: dict[Key, deque[Step]] = {}  # remaining polls of the epoch
         self._answered: dict[Key, Step] = {}  # in the epoch
         self._latest: dict[Key, Step] = {}  # for keys without a dialogue: SYNC, remote frames
         self._constants = _constants(self._steps)
@@ -125,8 +125,8 @@ class ExchangePlayer:
         while waiting and len(waiting) > 1 and _is_silent(waiting[0]):
             if now_ns - self._epoch_ns < self._silent_for_ns(waiting[0], waiting[1]):
                 break
-            del waiting[0]
-        step = waiting.pop(0) if waiting else self._answered.get(key, self._constants.get(key))
+            waiting.popleft()
+        step = waiting.popleft() if waiting else self._answered.get(key, self._constants.get(key))
         if step is None:
             step = self._latest.get(key)
         if step is not None:
@@ -244,7 +244,7 @@ class ExchangePlayer:
         self._answered.clear()
         end = self._commands[self._next] if self._next < len(self._commands) else None
         for poll in self._steps[number + 1 : end]:
-            self._polls.setdefault(poll.key, []).append(poll)
+            self._polls.setdefault(poll.key, deque()).append(poll)
         if step.answers:  # repeated, a SYNC that triggered something is only a poll
             self._answered[step.key] = step
             self._latest[step.key] = step

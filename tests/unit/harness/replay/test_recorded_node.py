@@ -75,6 +75,25 @@ def test_toggle_bit_alternates_with_every_guarding():
     assert [data for _, data in told[1:]] == ["7f", "ff", "7f", "ff", "7f"]
 
 
+def test_periodic_frames_beyond_the_bus_are_not_continued():
+    """An adapter stamps a batch of heartbeats at intervals of 1 us."""
+    one = node(*((1 + place / 1000, 0x701, b"\5") for place in range(20)))
+    assert len(played(one)) == 20
+    one = node(*((1 + place / 1000, 0x701, b"\5") for place in range(20)))
+    ((kind, text),) = one.take_events()
+    told = "more periodic frames than the bus can carry, so not continued: 701h every 0.999 us"
+    assert (kind, text) == ("warning", told)
+
+
+def test_of_two_too_fast_periods_the_longer_is_continued():
+    """A heartbeat takes some 60 us of 80 us, a PDO of 8 bytes some 120 us of 200 us."""
+    frames = [(1 + place * 0.08, 0x701, b"\5") for place in range(20)]
+    frames += [(1.01 + place * 0.2, 0x181, bytes(range(8))) for place in range(20)]
+    told = [identifier for identifier, _ in played(node(*sorted(frames)), until_ms=100)]
+    assert told.count(0x701) == 20
+    assert told.count(0x181) > 400
+
+
 def test_equal_pdo_after_own_boot_up_is_a_new_command():
     frames = (
         *(BOOT_UP, (10, 0x201, b"\6\0"), (12, 0x181, b"\x31\2")),
