@@ -705,9 +705,9 @@ def _method(patch, number, **changes):
 
 
 @mutant("HOME-03", SWITCHES)
-def method_17_takes_the_other_edge(patch):
-    """Method 17 passes the edge of the limit switch towards it."""
-    _method(patch, 17, direction=-1, before=False)
+def method_2_needs_no_index(patch):
+    """Method 2 ends at the edge of the limit switch."""
+    _method(patch, 2, index=False)
 
 
 @mutant("HOME-04", SWITCHES)
