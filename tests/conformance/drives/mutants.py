@@ -819,7 +819,13 @@ def following_error_has_the_other_sign(patch):
     _wrap(patch, units.Units, "length_raw", lambda good: lambda s, value: -good(s, value))
 
 
-@mutant("VAL-03", DRIVES["more objects"])
+@mutant("VAL-03")
+def internal_position_is_in_turns(patch):
+    """6063h is in turns of the motor."""
+    _wrap(patch, Readings, "position_internal", lambda good: lambda s: good(s) // 2000)
+
+
+@mutant("VAL-04", DRIVES["more objects"])
 def velocity_sensor_is_in_rpm(patch):
     """6069h is in rpm."""
     _wrap(patch, Readings, "velocity_sensor", lambda good: lambda s: good(s) * 60 // 2000)

@@ -1,5 +1,6 @@
 """Units and values: demand and actual values, factors, position range, kinds of set-points."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
@@ -246,24 +247,12 @@ def buffer_of_set_points(bench: DriveBench) -> None:
         drive.await_target(start, 2.0 * way / pace.speed + 4.0 * pace.ramp_s + 1.0, "back")
 
 
-@drive_clause("VAL-03", Level.L1, source="CiA 402-2, 6063h, 6069h, 60FCh: internal units")
-def internal_values(bench: DriveBench) -> None:
-    """6063h and 60FCh are 6064h and 6062h in increments; 6069h is 606Ch in inc/s."""
-    drive = bench.drive
+def _expect_same(drive: Drive, pairs: Sequence[tuple[Entry, Entry]]) -> None:
+    """Expect the first of each pair to be the second in increments, at rest and at speed."""
     drive.require_mode(Mode.PV)
-    pairs = [
-        (one, other)
-        for one, other in (
-            (od.POSITION_INTERNAL, od.POSITION),
-            (od.POSITION_DEMAND_INTERNAL, od.POSITION_DEMAND),
-            (od.VELOCITY_SENSOR, od.VELOCITY),
-        )
-        if drive.find(one) is not None
-    ]
+    pairs = [pair for pair in pairs if drive.find(pair[0]) is not None]
     if not pairs or drive.find(od.POLARITY):
-        raise NotApplicable(
-            "the drive has none of 6063h, 6069h and 60FCh, or inverts them by 607Eh"
-        )
+        raise NotApplicable("the drive has no such object, or inverts values by 607Eh")
     pace, units = drive.pace(), drive.units()
     drive.write(od.TARGET_VELOCITY, 0)
     drive.enable(Mode.PV)
@@ -281,6 +270,23 @@ def internal_values(bench: DriveBench) -> None:
             what, expected = f"60FFh = {velocity}", f"{entry} = {wanted:.0f} +- {most:.0f}"
             is_right = abs(value - wanted) <= most
             drive.expect(is_right, what, expected, f"{value}", f"not {other} in increments")
+
+
+@drive_clause("VAL-03", Level.L1, source="CiA 402-2, 6063h and 60FCh: internal units")
+def internal_positions(bench: DriveBench) -> None:
+    """6063h is 6064h in increments of the encoder, and 60FCh is 6062h in increments."""
+    pairs = (
+        (od.POSITION_INTERNAL, od.POSITION),
+        (od.POSITION_DEMAND_INTERNAL, od.POSITION_DEMAND),
+    )
+    _expect_same(bench.drive, pairs)
+
+
+@drive_clause("VAL-04", Level.L1, source="CiA 402-2, velocity sensor actual value 6069h")
+def velocity_of_the_sensor(bench: DriveBench) -> None:
+    """6069h is the velocity 606Ch in increments of the encoder per second."""
+    bench.drive.require(od.VELOCITY_SENSOR)
+    _expect_same(bench.drive, ((od.VELOCITY_SENSOR, od.VELOCITY),))
 
 
 @drive_clause("VAL-02", Level.L1, source="CiA 402-2, DC link circuit voltage 6079h [mV]")
