@@ -705,9 +705,9 @@ def _method(patch, number, **changes):
 
 
 @mutant("HOME-03", SWITCHES)
-def method_17_takes_the_other_edge(patch):
-    """Method 17 passes the edge of the limit switch towards it."""
-    _method(patch, 17, direction=-1, before=False)
+def method_2_needs_no_index(patch):
+    """Method 2 ends at the edge of the limit switch."""
+    _method(patch, 2, index=False)
 
 
 @mutant("HOME-04", SWITCHES)
@@ -819,7 +819,13 @@ def following_error_has_the_other_sign(patch):
     _wrap(patch, units.Units, "length_raw", lambda good: lambda s, value: -good(s, value))
 
 
-@mutant("VAL-03", DRIVES["more objects"])
+@mutant("VAL-03")
+def internal_position_is_in_turns(patch):
+    """6063h is in turns of the motor."""
+    _wrap(patch, Readings, "position_internal", lambda good: lambda s: good(s) // 2000)
+
+
+@mutant("VAL-04", DRIVES["more objects"])
 def velocity_sensor_is_in_rpm(patch):
     """6069h is in rpm."""
     _wrap(patch, Readings, "velocity_sensor", lambda good: lambda s: good(s) * 60 // 2000)

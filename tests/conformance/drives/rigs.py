@@ -119,7 +119,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
     "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),
     "sync supervision": ("CYC-01", "ERR-07", "CSP-01", "CSP-06", "IP-01", "IP-02", "CSV-01"),
-    "more objects": ("VAL-02", "VAL-03", "ERR-05", "ERR-06"),
+    "more objects": ("VAL-02", "VAL-03", "VAL-04", "ERR-05", "ERR-06"),
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
     "lean": ("PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),

@@ -38,7 +38,7 @@ def accusations(target):
     return [one for one in verdicts if one.result not in (Result.PASSED, Result.NOT_APPLICABLE)]
 
 
-NEEDS_STATEMENTS = {"HOME-03", "HOME-04", "HOME-05", "TP-04", "CYC-01", "VAL-02"}
+NEEDS_STATEMENTS = {"HOME-03", "HOME-04", "HOME-05", "TP-04", "CYC-01", "VAL-02", "VAL-04"}
 """Clauses about switches, monitoring and objects that the kit's own drive does not have."""
 
 

@@ -1,5 +1,6 @@
 """Units and values: demand and actual values, factors, position range, kinds of set-points."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
@@ -35,17 +36,16 @@ def demand_and_actual_values_agree(bench: DriveBench) -> None:
         drive.near(od.VELOCITY_DEMAND, velocity, 1, what, "606Bh has another unit")
         speed = abs(velocity) * units.velocity
         slack = 2.0 + drive.window() + 4.0 * pace.sample_s * speed
-        first, first_ns = drive.read(od.POSITION_DEMAND), drive.now_ns
         error = drive.read(od.FOLLOWING_ERROR)
         place = drive.read(od.POSITION)
         what = f"60F4h = {error}, {what}"
         drive.near(od.POSITION_DEMAND, place + error, slack, what, "60F4h has another sign or unit")
-        drive.quiet(0.1)
-        demand = drive.read(od.POSITION_DEMAND)
-        rate = (demand - first) / (drive.now_ns - first_ns) * 1e9
+        track = drive.watch(od.POSITION_DEMAND, lambda _: False, 0.15)
+        rate = slope(track) * (1 if track[-1].value >= track[0].value else -1)
         wanted = velocity * units.velocity
         seen, expected = f"{rate:.0f}", f"{wanted:.0f} position units/s +- 3 %"
-        drive.expect(abs(rate - wanted) <= 0.03 * abs(wanted) + 1, "rate of 6062h", expected, seen)
+        is_right = abs(rate - wanted) <= 0.03 * abs(wanted) + 1
+        drive.expect(is_right, "rate of 6062h", expected, seen)
 
 
 @drive_clause("FAC-01", Level.L1, source=_FACTORS)
@@ -247,24 +247,12 @@ def buffer_of_set_points(bench: DriveBench) -> None:
         drive.await_target(start, 2.0 * way / pace.speed + 4.0 * pace.ramp_s + 1.0, "back")
 
 
-@drive_clause("VAL-03", Level.L1, source="CiA 402-2, 6063h, 6069h, 60FCh: internal units")
-def internal_values(bench: DriveBench) -> None:
-    """6063h and 60FCh are 6064h and 6062h in increments; 6069h is 606Ch in inc/s."""
-    drive = bench.drive
+def _expect_same(drive: Drive, pairs: Sequence[tuple[Entry, Entry]]) -> None:
+    """Expect the first of each pair to be the second in increments, at rest and at speed."""
     drive.require_mode(Mode.PV)
-    pairs = [
-        (one, other)
-        for one, other in (
-            (od.POSITION_INTERNAL, od.POSITION),
-            (od.POSITION_DEMAND_INTERNAL, od.POSITION_DEMAND),
-            (od.VELOCITY_SENSOR, od.VELOCITY),
-        )
-        if drive.find(one) is not None
-    ]
+    pairs = [pair for pair in pairs if drive.find(pair[0]) is not None]
     if not pairs or drive.find(od.POLARITY):
-        raise NotApplicable(
-            "the drive has none of 6063h, 6069h and 60FCh, or inverts them by 607Eh"
-        )
+        raise NotApplicable("the drive has no such object, or inverts values by 607Eh")
     pace, units = drive.pace(), drive.units()
     drive.write(od.TARGET_VELOCITY, 0)
     drive.enable(Mode.PV)
@@ -274,12 +262,31 @@ def internal_values(bench: DriveBench) -> None:
         for entry, other in pairs:
             is_speed = entry is od.VELOCITY_SENSOR
             per_unit = units.position_inc * (units.velocity if is_speed else 1.0)
-            slack = drive.window() + 2.0 * pace.sample_s * abs(velocity) * units.velocity
+            begin_ns = drive.now_ns
             wanted = drive.read(other) * per_unit
-            most = 0.05 * abs(wanted) + 500 if is_speed else slack * per_unit
-            drive.near(
-                entry, wanted, most, f"{other} at 60FFh = {velocity}", "another unit or sign"
-            )
+            value = drive.read(entry)
+            moved = abs(velocity) * units.velocity * (drive.now_ns - begin_ns) / 1e9
+            most = 0.05 * abs(wanted) + 500 if is_speed else (drive.window() + moved) * per_unit
+            what, expected = f"60FFh = {velocity}", f"{entry} = {wanted:.0f} +- {most:.0f}"
+            is_right = abs(value - wanted) <= most
+            drive.expect(is_right, what, expected, f"{value}", f"not {other} in increments")
+
+
+@drive_clause("VAL-03", Level.L1, source="CiA 402-2, 6063h and 60FCh: internal units")
+def internal_positions(bench: DriveBench) -> None:
+    """6063h is 6064h in increments of the encoder, and 60FCh is 6062h in increments."""
+    pairs = (
+        (od.POSITION_INTERNAL, od.POSITION),
+        (od.POSITION_DEMAND_INTERNAL, od.POSITION_DEMAND),
+    )
+    _expect_same(bench.drive, pairs)
+
+
+@drive_clause("VAL-04", Level.L1, source="CiA 402-2, velocity sensor actual value 6069h")
+def velocity_of_the_sensor(bench: DriveBench) -> None:
+    """6069h is the velocity 606Ch in increments of the encoder per second."""
+    bench.drive.require(od.VELOCITY_SENSOR)
+    _expect_same(bench.drive, ((od.VELOCITY_SENSOR, od.VELOCITY),))
 
 
 @drive_clause("VAL-02", Level.L1, source="CiA 402-2, DC link circuit voltage 6079h [mV]")
