@@ -210,8 +210,8 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
         from_elsewhere = f"{what} of the hardware object was accepted while its motor moves"
         expect_raises(MotorBusyError, operation, from_elsewhere)
     with suppress(NotApplicable):
-        operation = _simple(hardware, "enable")
-        expect_raises(MotorBusyError, operation, "enable() was accepted while the motor moves")
+        enable = _simple(hardware, "enable")
+        expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
 
 
