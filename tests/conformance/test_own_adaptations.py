@@ -21,7 +21,7 @@ _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("TRAJ-11", "TRAJ-12"),
-        *("LIM-05", "LEAD-01", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
+        *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11"),
         *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
     }

@@ -38,6 +38,9 @@ _NO_RPDOS = [
     (_SEEKING, f"{_SEEKING}\n[conformance.without]\n{_BY_SDO}"),
 ]
 VARIANTS = {**VARIATIONS, "brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
+VARIANTS["position limits in the drive"] = of_drive(
+    'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
+)
 VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
 

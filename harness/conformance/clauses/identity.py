@@ -100,6 +100,12 @@ def latest_state_is_returned_at_once(bench: RigProtocol) -> None:
         latest.position is None or abs(latest.position - position) <= bench.facts.window,
         f"latest() has position {latest.position}, position() is {position:g} {motor.model.unit}",
     )
+    error = latest.following_error
+    expect(
+        error is None or abs(error) <= bench.facts.window,
+        f"latest() has following error {error} at rest at the target; the window is"
+        f" {bench.facts.window:g} {motor.model.unit}",
+    )
 
 
 @clause(

@@ -1,6 +1,7 @@
 """L2 and L5: low-level access, and the hardware object that it gives."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from inspect import Parameter, signature
 from typing import Any, Final
@@ -210,6 +211,9 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
     ):
         from_elsewhere = f"{what} of the hardware object was accepted while its motor moves"
         expect_raises(MotorBusyError, operation, from_elsewhere)
+    with suppress(NotApplicable):
+        enable = _simple(hardware, "enable")
+        expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
 
 

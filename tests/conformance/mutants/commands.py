@@ -469,3 +469,14 @@ def more_than_that_is_not_needed():
 
     with replaced(TorqueUnit, "raw", wrong):
         yield
+
+
+@mutant("ideal", "LIM-06")
+def far_enough():
+    """A target beyond 5 rad is replaced by 5 rad."""
+
+    def cut(_motor, motion):
+        return replace(motion, target=max(-5.0, min(motion.target, 5.0)))
+
+    with motions_changed(IdealMotor, cut):
+        yield

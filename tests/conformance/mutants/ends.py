@@ -1,6 +1,7 @@
 """Mistakes in the end of motions, and in its notification."""
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 
 from motorhil.motorapi import execution
@@ -9,8 +10,9 @@ from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.ideal.profiles import Led
 from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
-from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.errors import DeadlineExceeded, MotorError
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -168,4 +170,19 @@ def led_in_with_hesitation():
         return led
 
     with replaced(StreamedMotion, "_approach_of", wrong):
+        yield
+
+
+@mutant("ideal", "LEAD-02")
+def an_argument_that_fails_stands_still():
+    """A failing argument is as good as one that stands still."""
+
+    def wrong(look):
+        def looked(led, now_ns):
+            with suppress(MotorError):
+                look(led, now_ns)
+
+        return looked
+
+    with replaced(Led, "look", wrong):
         yield

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 _WATCHED_S = 0.2
 _BLIP_S = 0.002
+_FAR = 12.0  # long moves
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
 
@@ -295,3 +296,24 @@ def _blip(motor: Motor, time_s: float, share: float) -> "Function":
     begin_s, end_s = 0.5003 * time_s, 0.5003 * time_s + _BLIP_S
     hump = (0.0, 0.0, lean, -2.0 * lean / _BLIP_S, lean / _BLIP_S**2)
     return Piecewise.of_polynomials((0.0, begin_s, end_s, time_s), ((0.0,), hump, (0.0,)))
+
+
+@clause(
+    "LIM-06",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="CiA 402-2, 607Dh: software position limit; LimitError: the drive would clip",
+)
+def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
+    """Whatever limits a drive itself has, a far target is refused or reached, never in part."""
+    motor, way = bench.motor, long_move(bench)
+    for share in (_FAR, -_FAR, 1.0):
+        before = motor.position()
+        target = share * way
+        try:
+            follow(motor, TrapezoidalTrajectory(target))
+        except LimitError:
+            expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
+            continue
+        finish(bench, motor, shortest_s(motor, target))
+        expect_at(bench, motor, before + target, f"a move of {target:g} {motor.model.unit}")

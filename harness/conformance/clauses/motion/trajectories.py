@@ -34,8 +34,10 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    LinkError,
     Motor,
     MotorPosition,
+    PluginError,
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
@@ -45,6 +47,7 @@ _AFTER_S = 0.2
 _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SOON_S = 0.02
+_FAILS_S = 0.5
 _LED_S = 2.0
 _FEW_S = 0.02  # a few samples
 
@@ -437,3 +440,54 @@ def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:
     slow = _LEADS * leader.model.velocity_max
     follow(leader, TrapezoidalTrajectory(way, limits=DerivativeLimits(first=slow)))
     finish(bench, leader, shortest_s(leader, way) + abs(way) / slow)
+
+
+class _Failing:
+    """An argument that grows with time squared, from rest, until it fails with this error."""
+
+    name = "failing argument"
+    rate_max = 1.0
+
+    def __init__(self, bench: RigProtocol, error: Exception) -> None:
+        self._bench, self._error = bench, error
+        self._begun_ns = bench.runtime.now_ns()
+
+    def value(self) -> float:
+        """Return the square of the time since the beginning, or raise the error after a while."""
+        passed_s = elapsed_s(self._bench, self._begun_ns)
+        if passed_s > _FAILS_S:
+            raise self._error
+        return passed_s**2
+
+
+@clause(
+    "LEAD-02",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    source="Argument.value: raises; errors: LinkError, PluginError; Motor.wait_until_done",
+)
+def failing_argument_ends_the_motion(bench: RigProtocol) -> None:
+    """If its argument fails, a motion fails with the error of the argument, and the motor stops."""
+    from motorhil.motorapi.functions import Polynomial
+
+    motor = bench.motor
+    motor.enable()
+    slow = _LEADS * motor.model.velocity_max
+    ramp = Polynomial((0.0, slow)).restricted(0.0, 1.0)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    broken = LinkError(link=motor.name, reason="an argument that fails")
+    for error, expected in ((broken, LinkError), (ZeroDivisionError("no"), PluginError)):
+        argument = _Failing(bench, error)
+        try:
+            motor.set_trajectory(ComplexTrajectory(ramp, relative=True), argument)
+            motor.start()
+        except UnsupportedError as refused:
+            raise NotApplicable(f"no argument can lead this motor: {refused}") from None
+        expect_raises(
+            expected,
+            partial(finish, bench, motor, 2.0 * _FAILS_S),
+            f"the argument failed with {error!r}, and the wait returned",
+        )
+        motor.stop()
+        finish(bench, motor)
+        expect_rest(bench, motor, "after its argument failed")
