@@ -259,6 +259,8 @@ def model_has_its_units(_: RigProtocol) -> None:
         (MotionKind.LINEAR, "m", "N", 1.0, 0.0001),
     ):
         plain = MotorModel(kind=kind, velocity_max=2.0, acceleration_max=4.0)
+        word: Any = kind.value
+        expect(replace(plain, kind=word).unit == unit, f"of the kind {word!r}, another unit")
         made = replace(plain, gear_ratio=-5.0, encoder_increments_rev=400.0)
         what = f"{kind.value}: {made!r}"
         units = [made.unit_of(one) for one in ControlVariable]

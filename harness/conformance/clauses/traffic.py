@@ -206,10 +206,10 @@ def _loads(seed: int) -> Iterator[tuple[BusLoad, ErrorModel]]:
                 )
             )
         fifo = frozenset(("a", "b")[: 1 + number % 3]) if number % 2 else frozenset()
-        interval_ns = None if number % 4 < 2 else 30 * base_ns
+        interval_ns = None if number % 4 < 2 else 8 * base_ns
         errors = ErrorModel(number // 4 % 2, interval_ns)
         load = BusLoad("bus", rate, tuple(messages), fifo=fifo)
-        if load.utilisation() < (0.85 if errors.interval_ns else 0.97):
+        if load.utilisation() < (0.65 if errors.interval_ns else 0.97):
             yield load, errors
 
 
