@@ -9,6 +9,7 @@ from motorhil.motorapi.commands import DerivativeLimits
 from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.planning import functions, single_axis
+from motorhil.motorapi.synchronization import skew
 from motorhil.motorapi.synchronization.bus_load import CanTraffic
 from tests.conformance.mutants import mutant, replaced
 
@@ -126,4 +127,11 @@ def a_jerk_limit_that_is_twice_as_large():
 def a_limit_that_nobody_sees():
     """After a final velocity, no position limit brakes the motor."""
     with replaced(functions, "_rest_at", lambda _: lambda *what: None):
+        yield
+
+
+@mutant("ideal", "TIME-04")
+def a_clock_without_an_error():
+    """The bound on the end skew takes the drives' clocks for perfect."""
+    with patch.object(skew, "_PPM", 0.0):
         yield
