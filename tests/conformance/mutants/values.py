@@ -4,9 +4,10 @@ from dataclasses import replace
 from unittest.mock import patch
 
 from motorhil.harness.conformance.clauses import traffic
-from motorhil.motorapi import model
+from motorhil.motorapi import Motor, model
 from motorhil.motorapi.commands import DerivativeLimits
 from motorhil.motorapi.errors import MotorBusyError
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.planning import functions, single_axis
 from motorhil.motorapi.synchronization import skew
@@ -134,4 +135,29 @@ def a_limit_that_nobody_sees():
 def a_clock_without_an_error():
     """The bound on the end skew takes the drives' clocks for perfect."""
     with patch.object(skew, "_PPM", 0.0):
+        yield
+
+
+@mutant("ideal", "ID-03")
+def an_adaptation_that_may_replace_all():
+    """Public methods of a motor may be replaced."""
+    with patch.object(Motor, "__init_subclass__", classmethod(lambda cls: None)):
+        yield
+
+
+@mutant("ideal", "DONE-05")
+def a_start_that_nobody_misses():
+    """A wait for a command that was not started says nothing."""
+    with replaced(LogicalMotor, "forgotten", lambda _: lambda motor: ""):
+        yield
+
+
+@mutant("ideal", "SET-10")
+def a_set_point_with_the_slopes_of_the_model():
+    """A velocity set-point does not use limits of its own."""
+
+    def wrong(bounds):
+        return lambda model, limits, target: bounds(model, None, target)
+
+    with replaced(single_axis, "_velocity_bounds", wrong):
         yield
