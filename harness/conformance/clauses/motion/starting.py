@@ -522,6 +522,7 @@ def velocity_set_point_keeps_its_slopes(bench: RigProtocol) -> None:
             f"from {before:g} to {after:g} {model.unit}/s at {rate:g} {model.unit}/s² in"
             f" {took_s:.3f} s; expected at least {least_s:.3f} s",
         )
+        rest_for(bench, 0.5 * least_s)
         if after:
             expect_speed(bench, motor, after, 0.1, "after a set-point with limits of its own")
     motor.stop()
