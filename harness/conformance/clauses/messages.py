@@ -240,6 +240,7 @@ def model_file_is_read_as_written(bench: RigProtocol) -> None:
             partial(MotorModel.load, folder),
         ):
             error = _file_error(missing)
+            expect(bool(error.path), f"{error}; expected a refusal of the file")
             expect(error.line is None and error.key is None, f"{error}: a line")
 
 
