@@ -214,7 +214,9 @@ class MotorModel:
             if isinstance(key.kind, Number) and isinstance(value, Real):
                 value = as_number(value)  # of numpy, too
             if value is not None or name not in declared.defaults:
-                key.kind.read(value, (name,))
+                found = key.kind.read(value, (name,))
+                if isinstance(found, MotionKind):  # of its word, too
+                    object.__setattr__(self, name, found)
         low, high = self.position_min, self.position_max
         if low is not None and high is not None and not low < high:
             message = f"{low:g} is not below position_max, {high:g}"

@@ -203,6 +203,8 @@ def group_reserves_all_or_none(bench: RigProtocol) -> None:
     first, second = bench.motors[:2]
     group = MotorGroup(first, second)
     others = [bench.another_user_of(motor) for motor in group]
+    with MotorGroup(second).reserve("alone") as alone:
+        expect(alone.names == (second.name,), f"a group of one: {alone!r}")
     with group.reserve("survey", timeout_s=1.0, lease_s=5.0) as reservation:
         expect(reservation.is_held and reservation.lost_to is None, f"{reservation!r}")
         expect(set(reservation.names) == {first.name, second.name}, f"{reservation!r}")

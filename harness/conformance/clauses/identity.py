@@ -1,7 +1,7 @@
 """L0: motors match their models; identity and state are right."""
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, clause, expect
+from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_state,
@@ -14,7 +14,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     torque_of,
 )
 from motorhil.harness.rig.config.conformance import Capability
-from motorhil.motorapi import Motor, MotorState
+from motorhil.motorapi import Motor, MotorState, PluginError
 
 _HOLDS = 0.3  # of the largest torque
 
@@ -148,4 +148,22 @@ def enabled_holds_load_and_disabled_gives_way(bench: RigProtocol) -> None:
     expect(
         moved > 10.0 * bench.facts.window,
         f"disabled, the motor still holds {_HOLDS:.0%} of its torque: the power stage is on",
+    )
+
+
+@clause("ID-03", Level.L0, source="motorapi.motor: an adaptation implements hooks, public is final")
+def public_methods_are_final(bench: RigProtocol) -> None:
+    """An adaptation that replaces a public method is refused; hooks, and more methods, are not."""
+    for name in ("start", "stop", "state", "position", "wait_until_done", "reserve"):
+        try:
+            type("Mistaken", (Motor,), {name: None})
+        except PluginError as error:
+            expect((error.plugin, error.where) == ("Mistaken", name), f"refused with {error}")
+        else:
+            raise Violated(f"an adaptation has replaced {name}(), and was not refused")
+    type("Correct", (Motor,), {"close": None, "_stop": None, "further": None})
+    shown = repr(bench.motor)
+    expect(
+        bench.motor.name in shown and type(bench.motor).__name__ in shown,
+        f"{bench.motor.name} is shown as {shown}",
     )

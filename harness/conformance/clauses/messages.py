@@ -240,6 +240,7 @@ def model_file_is_read_as_written(bench: RigProtocol) -> None:
             partial(MotorModel.load, folder),
         ):
             error = _file_error(missing)
+            expect(bool(error.path), f"{error}; expected a refusal of the file")
             expect(error.line is None and error.key is None, f"{error}: a line")
 
 
@@ -259,6 +260,8 @@ def model_has_its_units(_: RigProtocol) -> None:
         (MotionKind.LINEAR, "m", "N", 1.0, 0.0001),
     ):
         plain = MotorModel(kind=kind, velocity_max=2.0, acceleration_max=4.0)
+        word: Any = kind.value
+        expect(replace(plain, kind=word).unit == unit, f"of the kind {word!r}, another unit")
         made = replace(plain, gear_ratio=-5.0, encoder_increments_rev=400.0)
         what = f"{kind.value}: {made!r}"
         units = [made.unit_of(one) for one in ControlVariable]

@@ -29,7 +29,7 @@ from motorhil.motorapi.ownership.claim import (
 from motorhil.motorapi.ownership.fencing import JointFence, NodeFence, announce, joint_fence
 from motorhil.motorapi.ownership.ownership import Ownership
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, PhysicalMotor, RunStatus
-from motorhil.motorapi.ownership.queue import FifoQueue
+from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger, trigger_turns
 from motorhil.motorapi.runtime.api import ChangeCounter, Runtime
 
 _SOURCE: Final = "requirement 4 of the paper; Sharing and locking: one owner, of any process"
@@ -384,6 +384,13 @@ def turns_alternate_between_programs(bench: RigProtocol) -> None:
                     lambda: alone.turn(bench.runtime, "stop()").__enter__(), "a turn in a turn"
                 )
                 expect(error.holder == "start()", f"refused with {error}")
+    named = FifoQueue("SYNC of can0")
+    share_trigger(bench.runtime, "bus", named)
+    turns = trigger_turns(bench.runtime, ("tube", "bus", "tube", "axle"))
+    labels = [one.label for one in turns]
+    expect(labels == ["SYNC of can0", "the trigger axle", "the trigger tube"], f"turns {labels}")
+    again = trigger_turns(bench.runtime, ("tube", "bus"))
+    expect(again == [turns[0], turns[2]], f"other turns for the same triggers: {again}")
 
 
 @clause("PROC-07", Level.L3, source=f"{_SOURCE}; first come, first served")

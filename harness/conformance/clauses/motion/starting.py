@@ -1,6 +1,7 @@
 """L1: effects and conditions of start(); the end of a motion, notification and progress."""
 
 import re
+import warnings
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -26,6 +27,7 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
+    ControlMode,
     ControlVariable,
     DeadlineExceeded,
     DerivativeLimits,
@@ -465,3 +467,66 @@ def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
             left_s is None or abs(left_s - wanted_s) <= tolerance_s,
             f"remaining time: {left_s} s reported; expected {wanted_s:.3f} s",
         )
+
+
+@clause(
+    "DONE-05",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="Motor.wait_until_done: a command that was not started is no reason to wait",
+)
+def forgotten_start_is_warned_of(bench: RigProtocol) -> None:
+    """A wait for a command that was never started ends at once, with a warning that names it."""
+    motor, way = bench.motor, 0.1 * long_move(bench)
+    for is_forgotten in (False, True, False):
+        if is_forgotten:
+            motor.set_control_mode(ControlMode.TRAJECTORY)
+            motor.set_trajectory(TrapezoidalTrajectory(way))
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            begun_ns = bench.runtime.now_ns()
+            motor.wait_until_done(1.0)
+            waited_s = elapsed_s(bench, begun_ns)
+        told = [str(one.message) for one in heard if issubclass(one.category, UserWarning)]
+        wanted = f"{motor.name}: its trajectory was set, but not started"
+        expect(
+            [text.startswith(wanted) for text in told] == [True] * is_forgotten,
+            f"not started: {is_forgotten}; warned of {told}",
+        )
+        expect(waited_s < 1.0, f"waited {waited_s:g} s for nothing")
+        move(bench, motor, way)
+
+
+@clause(
+    "SET-11",
+    Level.L1,
+    needs={Capability.VELOCITY_SET_POINT},
+    bench={Ability.TRUTH},
+    source="paper 3.3, derivative limits: a range, so that each direction has its own",
+)
+def velocity_set_point_keeps_its_slopes(bench: RigProtocol) -> None:
+    """Velocity set-points with limits of their own are no steeper, in either direction."""
+    motor, model = bench.motor, bench.motor.model
+    top = 0.4 * model.velocity_max
+    gentle = min(model.acceleration_max, model.deceleration)
+    falling, rising = 0.2 * gentle, 0.4 * gentle
+    motor.enable()
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    for before, after in ((0.0, top), (top, 0.5 * top), (0.5 * top, 0.0), (0.0, -top)):
+        rate = rising if after > before else falling
+        least_s = abs(after - before) / rate
+        motor.set_setpoint(after, limits=DerivativeLimits(first=(-falling, rising)))
+        begun_ns = bench.runtime.now_ns()
+        motor.start()
+        finish(bench, motor, least_s)
+        took_s = elapsed_s(bench, begun_ns)
+        expect(
+            took_s >= 0.65 * least_s,  # it is reached within a window
+            f"from {before:g} to {after:g} {model.unit}/s at {rate:g} {model.unit}/s² in"
+            f" {took_s:.3f} s; expected at least {least_s:.3f} s",
+        )
+        rest_for(bench, 0.5 * least_s)
+        if after:
+            expect_speed(bench, motor, after, 0.1, "after a set-point with limits of its own")
+    motor.stop()
+    finish(bench, motor)
