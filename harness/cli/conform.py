@@ -34,7 +34,7 @@ Without --rig the adaptation is checked on the rig that comes with it. Exit stat
 are kept, 1 one is not, 2 wrong usage, 3 no clause was applicable.
 """
 _STDOUT: Final = Path("-")
-_SOME, _ALL, _OWN = "some", "all", "own"
+_SOME, _ALL, _OWN, _PAIRS = "some", "all", "own", "pairs"
 _NAMED: Final = 6
 _RECORDS: Final = Path("out", "conform")
 
@@ -69,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WHICH",
         default=_SOME,
         help='"some": most clauses run on variations of the kit\'s rig, chosen by the seed '
-        '(default); "own": all on the rig as it is; "all": all on every variation; or a name',
+        '(default); "pairs": on pairs of them; "own": all on the rig as it is; "all": all on every '
+        "variation; or a name",
     )
     add_seed(parser)
     parser.add_argument(
@@ -230,10 +231,11 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
     line = StatusLine()
+    is_required = options.benches not in (_SOME, _PAIRS)
     pairs = _pairs(options.benches, chosen, supervisor.loaded)
     for number, (promise, bench) in enumerate(pairs, 1):
         line.show(f"{promise.id} ({number} of {len(pairs)})")
-        finding = examiner.examine(promise, bench, is_required=options.benches != _SOME)
+        finding = examiner.examine(promise, bench, is_required=is_required)
         first_s = first_s or _running_s()
         line.clear()
         _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
@@ -245,8 +247,10 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     except CannotTestError as error:
         print(f"motorhil conform: {error}", file=sys.stderr)
         claims = None
-    missing = not_met(supervisor.loaded.variations, {one.variation for one in findings})
-    return Outcome(supervisor.loaded, findings, claims, first_s, _running_s(), tuple(missing))
+    loaded = supervisor.loaded
+    conditions = [*loaded.variations, *(_paired(loaded) if options.benches == _PAIRS else ())]
+    missing = not_met(conditions, {one.variation for one in findings})
+    return Outcome(loaded, findings, claims, first_s, _running_s(), tuple(missing))
 
 
 def _pairs(
@@ -264,16 +268,25 @@ def _pairs(
         return [(promise, name) for promise in chosen for name in (OWN, *names)]
     if which == _OWN:
         return [(promise, OWN) for promise in chosen]
-    if which == _SOME:
+    if which in (_SOME, _PAIRS):
+        if which == _PAIRS:
+            names = tuple(_paired(loaded))
         by_clause = assigned([one.id for one in loaded.clauses], names, loaded.seed)
         return [(promise, by_clause[promise.id]) for promise in chosen]
-    if which not in names:
-        known = (_SOME, _ALL, _OWN, *names)
+    if which not in names and which not in _paired(loaded):
+        known = (_SOME, _PAIRS, _ALL, _OWN, *names)
         remedy = nearest(which, list(known))
         if not remedy.startswith("did"):
             remedy = f"one of {listed(known)}"
         raise RigError(f"--benches {which}", "this rig has no such variation", remedy)
     return [(promise, which) for promise in chosen]
+
+
+def _paired(loaded: "Loaded") -> list[str]:
+    """Return the pairs of variations that the rig can have."""
+    from motorhil.harness.conformance.benches.variations import pairs_of
+
+    return pairs_of(Path(loaded.rig).read_text(), loaded.variations) if loaded.variations else []
 
 
 def _command(options: argparse.Namespace) -> list[str]:

@@ -15,8 +15,9 @@ from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_descr
 from motorhil.harness.conformance.benches.variations import (
     OWN,
     READ,
-    VARIATIONS,
     applicable,
+    changes_of,
+    parts_of,
     text_of,
 )
 from motorhil.harness.conformance.clause import Clause
@@ -78,7 +79,7 @@ class Target:
                 self.seed,
                 record=record,
                 is_observed=record is not None,
-                is_read=variation == READ,
+                is_read=READ in parts_of(variation),
             )
         from motorhil.harness.conformance.benches.wall_bench import WallBench
 
@@ -89,7 +90,7 @@ class Target:
         found = self._varied.get(variation)
         if found is None:
             source = self._described.source
-            text = text_of(source.text, VARIATIONS[variation])
+            text = text_of(source.text, changes_of(variation))
             described = parse_rig(Source(source.path, text), installed_plugins())
             described = replace(described, name=f"{described.name}, {variation}")
             found = bench_description(described, self._job.adaptation or None)

@@ -5,7 +5,10 @@ set grows with every correct motor that was accused. A user's rig is used as it 
 """
 
 import random
+import tomllib
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from itertools import combinations
 from typing import Final
 
 _PLANT = 'plant = { preset = "wheel_60w" }'
@@ -80,15 +83,13 @@ _OF_THE_DRIVE: list[Change] = [
     ("acceleration_" + _UNIT.format("2"), ""),
 ]
 _NO_IDENTIFIERS = ", ".join(f'"{index}h:1" = 0x80000000' for index in ("1400", "1401", "1800"))
-_BUSY: list[Change] = [  # 1.2 ms of 5 ms in frames of higher priority, as much in lower ones
-    (
-        "[controller.left]",
-        "".join(
-            f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
-            for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))
-        )
-        + "[controller.left]",
-    )
+_RATE_AND_LEFT: Final = "bitrate_bit_s = 1_000_000\n\n[controller.left]"
+_MESSAGES: Final = "".join(
+    f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
+    for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))  # above the drives, and below
+)
+_BUSY: list[Change] = [  # half of the bus; too much for a slow one, so its rate is spelt otherwise
+    (_RATE_AND_LEFT, f"bitrate_bit_s = 1000000\n\n{_MESSAGES}[controller.left]")
 ]
 READ: Final = "a second program reads"
 """The variation in which another program reads the motors; see `RigBench`."""
@@ -151,6 +152,7 @@ _GENERAL: Final = ("reversing gear", "starts at 5 rad", "fast clock", "slow cloc
 """Variations that do not depend on the kind of the controllers."""
 NOT_VARIED: Final = ("a second program that takes the motor",)
 """Conditions that no variation makes yet; a run reports that they were not met."""
+_AND: Final = " + "
 OWN: Final = ""
 """The name of the rig as it is."""
 _OWN_SHARE: Final = 3
@@ -180,13 +182,35 @@ def text_of(text: str, changes: Sequence[Change]) -> str:
     return text
 
 
+def parts_of(name: str) -> list[str]:
+    """Return the variations of a pair, or the one variation; none for the rig as it is."""
+    return name.split(_AND) if name else []
+
+
+def changes_of(name: str) -> list[Change]:
+    """Return the changes of a variation, or of a pair of them, in their order."""
+    return [change for part in parts_of(name) for change in VARIATIONS[part]]
+
+
 def changes_claims(name: str) -> bool:
     """Return whether motors with this variation claim less than those of the rig as it is."""
-    return any("6502h" in after for _, after in VARIATIONS[name])
+    return any("6502h" in after for _, after in changes_of(name))
+
+
+def pairs_of(text: str, names: Sequence[str]) -> list[str]:
+    """Return the pairs of these variations that the rig in this text can have."""
+    found = []
+    for first, second in combinations(names, 2):
+        for pair in (f"{first}{_AND}{second}", f"{second}{_AND}{first}"):
+            with suppress(ValueError):  # one removes what the other changes, or both set one key
+                tomllib.loads(text_of(text, changes_of(pair)))
+                found.append(pair)
+                break
+    return found
 
 
 def assigned(clauses: Sequence[str], names: Sequence[str], seed: int) -> dict[str, str]:
-    """Return the variation for each clause; each variation has a clause if there are enough.
+    """Return the variation, or the pair, for each clause; all have a clause if there are enough.
 
     The first clause is checked on the rig as it is, so that the first verdict comes soon. The same
     seed gives the same variations.
@@ -205,5 +229,13 @@ def assigned(clauses: Sequence[str], names: Sequence[str], seed: int) -> dict[st
 
 
 def not_met(names: Sequence[str], met: Collection[str]) -> list[str]:
-    """Return the variations, and other conditions, that no checked clause has met."""
-    return [name for name in names if name not in met] + list(NOT_VARIED)
+    """Return the variations, and other conditions, that no checked clause has met.
+
+    Of the pairs among `names` only their number is told.
+    """
+    parts = {part for one in met for part in parts_of(one)}
+    pairs = [name for name in names if _AND in name]
+    missing = [name for name in names if _AND not in name and name not in parts]
+    if pairs:
+        missing.append(f"{sum(one not in met for one in pairs)} of {len(pairs)} pairs")
+    return missing + list(NOT_VARIED)

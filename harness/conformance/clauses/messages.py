@@ -347,7 +347,7 @@ _SHOWN: Final[tuple[tuple[object, str], ...]] = (
 )
 
 
-@clause("LIM-06", Level.L2, source="paper 3.3.1: derivative limits, boundary conditions")
+@clause("LIM-07", Level.L2, source="paper 3.3.1: derivative limits, boundary conditions")
 def invalid_values_are_refused_at_once(_: RigProtocol) -> None:
     """Limits and trajectories with impossible numbers are refused when they are made."""
     ranges = (_PAIR.value, _PAIR.first, _PAIR.second, _PAIR.third)

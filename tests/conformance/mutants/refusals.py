@@ -146,7 +146,7 @@ def a_force_in_newton_metres():
         yield
 
 
-@mutant("ideal", "LIM-06")
+@mutant("ideal", "LIM-07")
 def a_range_that_may_be_empty():
     """Limits of a derivative may exclude rest."""
 

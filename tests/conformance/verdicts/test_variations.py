@@ -13,6 +13,7 @@ from motorhil.harness.conformance.benches.variations import (
     VARIATIONS,
     assigned,
     not_met,
+    pairs_of,
     text_of,
 )
 from motorhil.harness.conformance.job import Job
@@ -38,6 +39,23 @@ def test_seeds_vary_the_bench_of_a_clause():
 
 def test_conditions_without_clause_are_reported():
     assert not_met(["backlash", "slow bus"], {OWN, "slow bus"}) == ["backlash", *NOT_VARIED]
+
+
+def test_pairs_leave_out_those_that_contradict_each_other():
+    pairs = pairs_of((RIGS / "cia402.toml").read_text(), ["no csp", "only pp", "friction"])
+    assert pairs == ["no csp + friction", "only pp + friction"]
+
+
+def test_pair_of_a_bench_has_both_changes():
+    with Target(Job("cia402")).opener(None, "home offset + slow bus")() as bench:
+        assert bench.name.endswith(", home offset + slow bus")
+        assert bench.rig.description.buses["can0"].bitrate_bit_s == 125_000
+        assert bench.rig.controllers["left"].core.od.integer(0x607C, 0, 0) == 1000
+
+
+def test_pairs_not_met_are_counted():
+    missing = not_met(["a", "b", "c", "a + b", "a + c"], {OWN, "a + b"})
+    assert missing == ["c", "1 of 2 pairs", *NOT_VARIED]
 
 
 def test_text_without_the_place_of_a_change_is_refused():
