@@ -12,6 +12,7 @@ from hypothesis.internal.conjecture import providers
 from hypothesis.internal.constants_ast import Constants
 
 from motorhil import emulators
+from motorhil.__main__ import ALLOCATIONS
 from motorhil.harness.version import cores_are_compiled
 from tests.support.dissector import collect_sent, complaints, tshark
 
@@ -45,6 +46,7 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(ALLOCATIONS)
         gc.enable()
 
 

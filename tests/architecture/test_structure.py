@@ -80,18 +80,19 @@ def test_code_lines_leave_out_docstrings_and_comments():
 def long_functions(path, text):
     """Return the functions that are longer than allowed, without a reason in their docstring."""
     found = []
+    rows = text.splitlines()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            lines = function_lines(node, text)
+            lines = function_lines(node, rows)
             words = " ".join((ast.get_docstring(node) or "").lower().split())
             if lines > FUNCTION_LINES and REASON not in words:
                 found.append(f"{path}:{node.lineno}: {node.name} has {lines} lines")
     return found
 
 
-def function_lines(node, text):
+def function_lines(node, rows):
     """Return the lines of a function that are neither its docstring nor empty."""
-    lines = text.splitlines()[node.lineno - 1 : node.end_lineno]
+    lines = rows[node.lineno - 1 : node.end_lineno]
     first = node.body[0]
     if ast.get_docstring(node) is not None:
         del lines[first.lineno - node.lineno : first.end_lineno - node.lineno + 1]

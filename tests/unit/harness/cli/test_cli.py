@@ -1,3 +1,4 @@
+import gc
 import json
 import os
 import re
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from motorhil.__main__ import ALLOCATIONS, start
 from tests.support.command_line import environment, in_another_process
 from tests.support.plugin_rigs import GOOD
 
@@ -24,6 +26,17 @@ def test_help_imports_no_large_library():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == "[]\n"
     assert "run a script, or a prompt, with a rig around it" in done.stdout
+
+
+def test_command_collects_garbage_less_often(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["python -m motorhil", "--version"])
+    usual = gc.get_threshold()
+    try:
+        gc.set_threshold(700)
+        assert start() == 0
+        assert gc.get_threshold()[0] == ALLOCATIONS > 700
+    finally:
+        gc.set_threshold(*usual)
 
 
 def test_help_lists_verbs_and_each_verb_has_help(say):
