@@ -232,7 +232,8 @@ def group_reserves_all_or_none(bench: RigProtocol) -> None:
                 error = failure_of(group.reserve("survey", timeout_s=timeout_s).__enter__)
                 waited_s = (bench.runtime.now_ns() - begun_ns) / 1e9
                 expect(isinstance(error, MotorBusyError) and "lunch" in str(error), f"{error}")
-                expect(waited_s == (timeout_s or 0.0), f"refused after {waited_s} s")
+                late_s = waited_s - (timeout_s or 0.0)
+                expect(0.0 <= late_s <= bench.facts.time_tolerance_s, f"refused after {waited_s} s")
             others[1 - place].enable()
     with group.reserve("survey") as reservation, others[1].reserve("fire", take_over=True):
         expect(not reservation.is_held, "held, although one member was taken over")
