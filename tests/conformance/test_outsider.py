@@ -120,4 +120,4 @@ def test_new_drive_passes_its_tests_and_the_kit_at_once(venv, tmp_path):
     run(*pip, "--no-build-isolation", package)
     assert " passed" in run(venv / "python", "-m", "pytest", "-p", "no:cacheprovider", cwd=package)
     told = run(venv / "motorhil", "conform", "--adaptation", "acme_2", cwd=tmp_path)
-    assert re.search(r"^\d+ clauses: 8\d passed, 2\d not applicable", told, re.M), told
+    assert re.search(r"^\d+ clauses: \d{3} passed, \d+ not applicable;", told, re.M), told

@@ -18,7 +18,12 @@ from motorhil.harness.conformance.drives.objects import Entry, Mode
 
 _INPUTS: Final = "CiA 402-2, digital inputs 60FDh"
 _PROBE: Final = "CiA 402-2, touch probe 60B8h to 60BDh, 60D0h, 60D5h to 60D8h"
-_NAMES: Final = (("negative_limit", 0x1), ("positive_limit", 0x2), ("home", 0x4))
+_NAMES: Final = (
+    ("negative_limit", 0x1),
+    ("positive_limit", 0x2),
+    ("home", 0x4),
+    ("interlock", 0x8),
+)
 _RELEASED: Final = -1
 _ON, _EVERY, _INDEX, _BY_SOURCE, _RISING, _FALLING = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 # (input of the bench, its source in 60D0h, shift of its byte, results of both edges)
@@ -30,9 +35,9 @@ def _level(bench: DriveBench, name: str, value: float) -> None:
     bench.drive.quiet(0.01)
 
 
-@drive_clause("DIN-01", Level.L1, source=f"{_INPUTS}, bits 0 to 2")
+@drive_clause("DIN-01", Level.L1, source=f"{_INPUTS}, bits 0 to 3")
 def inputs_are_shown(bench: DriveBench) -> None:
-    """60FDh shows the limit switches in bits 0 and 1 and the home switch in bit 2, at once."""
+    """60FDh shows limit switches, home switch and interlock in bits 0 to 3, at once."""
     drive = bench.drive
     drive.require(od.INPUTS)
     identifier = configure(drive, 0x1800, (od.INPUTS,), 255)
