@@ -116,12 +116,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pauses of the host, or all traffic, X times faster; max: traffic without pauses",
     )
     parser.add_argument(
-        "--max-pause",
-        type=real(1.0, 1e9, "s"),
-        metavar="S",
-        help="refuse a recording with a longer pause between two frames (default: a day)",
-    )
-    parser.add_argument(
         "--patience",
         type=real(0.0, 1e6, "s"),
         default=2.0,
@@ -154,7 +148,9 @@ def _add_host_node(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_traffic(parser: argparse.ArgumentParser) -> None:
-    traffic = parser.add_argument_group("for --as traffic; --on and --bitrate also for --as host")
+    traffic = parser.add_argument_group(
+        "for --as traffic; --on, --bitrate and --max-pause also for --as host"
+    )
     traffic.add_argument(
         "--on",
         action="append",
@@ -172,6 +168,12 @@ def _add_traffic(parser: argparse.ArgumentParser) -> None:
         type=whole(1, 127),
         metavar="N",
         help="only this node",
+    )
+    traffic.add_argument(
+        "--max-pause",
+        type=real(1.0, 1e9, "s"),
+        metavar="S",
+        help="refuse a recording with a longer pause between two frames (default: a day)",
     )
     add_span(traffic)
     traffic.add_argument(
@@ -448,24 +450,10 @@ def replay_traffic(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, or has too long a pause.
     """
     from motorhil.harness.recording.sources import PlaceError
-    from motorhil.harness.replay.frames import (
-        PAUSE_MAX_S,
-        SendError,
-        TrafficReplay,
-        refuse_long,
-        survey,
-    )
+    from motorhil.harness.replay.frames import SendError, TrafficReplay, refuse_long
 
     choice = _choice(options)
-    findings = Findings()
-    with following("replay", [options.file]):
-        found = survey(_frames(options, choice, findings))
-    for _, problem in findings.problems[:_TRAFFIC_SHOWN]:
-        print(f"{options.named}: {problem}", file=sys.stderr)
-    if not found.frames:
-        raise RigError(options.file, "holds no CAN frame to send", "change or drop the filters")
-    if options.speed != math.inf:
-        found.pauses.refuse(str(options.named), options.max_pause or PAUSE_MAX_S)
+    found = _surveyed(options, choice)
     with ExitStack() as cleanup:
         try:
             sinks, runtime = _open(options, list(found.frames), cleanup)
@@ -492,6 +480,22 @@ def replay_traffic(options: argparse.Namespace) -> int:
         replay.done.ended_ns = runtime.now_ns()
         _print_traffic_result(options, replay.done, found, sinks, scale)
     return status
+
+
+def _surveyed(options: argparse.Namespace, choice: "Choice") -> "Survey":
+    """Return a summary of the frames to send, if they can be sent at their times."""
+    from motorhil.harness.replay.frames import PAUSE_MAX_S, survey
+
+    findings = Findings()
+    with following("replay", [options.file]):
+        found = survey(_frames(options, choice, findings))
+    for _, problem in findings.problems[:_TRAFFIC_SHOWN]:
+        print(f"{options.named}: {problem}", file=sys.stderr)
+    if not found.frames:
+        raise RigError(options.file, "holds no CAN frame to send", "change or drop the filters")
+    if options.speed != math.inf:
+        found.pauses.refuse(str(options.named), options.max_pause or PAUSE_MAX_S)
+    return found
 
 
 def _choice(options: argparse.Namespace) -> "Choice":

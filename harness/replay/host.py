@@ -614,14 +614,7 @@ def drive(
     strangers = frozenset(present or ()) - {*found.running(), *found.nodes()}
     if strangers:
         notes.append(f"not in the recording, so not compared: {_listed(strangers)}")
-    if player.silent:
-        listed = ", ".join(
-            f"{bus} node {node}: {what}" for bus, node, what in sorted(player.silent)
-        )
-        notes.append(
-            f"silent during {IN_VAIN_MAX} waits in a row, so awaited without patience from then "
-            f"on: {listed}"
-        )
+    _note_silent(player.silent, notes)
     return HostReplay(player, Reading(names, side, strangers, from_ns), notes)
 
 
@@ -755,6 +748,16 @@ def _start_nodes(driven: Driven, nodes: set[tuple[str, int]], notes: list[str]) 
         driven.send(bus, classic(0, bytes((_NMT_START, node))))
     driven.runtime.wait_until(never, _STARTED_S)
     notes.append(f"operational when the recording began, so started by NMT: {_listed(nodes)}")
+
+
+def _note_silent(subjects: Collection[Subject], notes: list[str]) -> None:
+    """Note the subjects that were awaited without patience."""
+    if subjects:
+        listed = ", ".join(f"{bus} node {node}: {what}" for bus, node, what in sorted(subjects))
+        notes.append(
+            f"silent during {IN_VAIN_MAX} waits in a row, so awaited without patience from then "
+            f"on: {listed}"
+        )
 
 
 def _listed(nodes: Iterable[tuple[str, int]]) -> str:
