@@ -323,6 +323,7 @@ class CanDrive:
         is_there: Callable[[], bool],
         timeout_s: float,
         awaited: str,
+        repeat_s: float | None = None,
     ) -> None:
         """Send a request, and wait for its answer.
 
@@ -331,6 +332,7 @@ class CanDrive:
             is_there: returns True when the answer has been received.
             timeout_s: longest time [s].
             awaited: the answer, for the error.
+            repeat_s: time after which the request is sent again [s]; None: it is sent once.
 
         Raises:
             DeadlineExceeded: no answer came within `timeout_s`.
@@ -338,11 +340,16 @@ class CanDrive:
             MotorBusyError: another user has low-level access.
         """
         status, offs = self.status, self.status.offs
+        end_ns = self.runtime.now_ns() + round(timeout_s * 1e9)
+        left_s = timeout_s
         with self.physical.passage(self.label, of_holder=True):
-            request()
-            wait_until(self.runtime, lambda: is_there() or status.offs != offs, timeout_s)
-        if is_there():
-            return
+            while left_s > 0.0 and status.offs == offs:
+                request()
+                turn_s = left_s if repeat_s is None else min(repeat_s, left_s)
+                wait_until(self.runtime, lambda: is_there() or status.offs != offs, turn_s)
+                if is_there():
+                    return
+                left_s = (end_ns - self.runtime.now_ns()) / 1e9
         if status.offs != offs:
             raise status.failure()
         raise DeadlineExceeded(

@@ -46,6 +46,9 @@ class DriveTable(MotorTable):
     node_id: int = whole(REQUIRED, 0, 0x3F, "", "Its node-ID.", example="1")
     boot_up_s: float = number(0.1, 0, 3600, "s", "From power-on to the first status.")
     period_s: float = number(0.01, 1e-4, 3600, "s", "Period of status and estimate.")
+    following_error_rev: float = number(
+        1.0, 0, 1e6, "rev", "It switches off if its motor is further behind.", above=True
+    )
     watchdog_s: float = number(0.1, 0, 3600, "s", "It stops without its host; 0: never.")
 
 
@@ -91,6 +94,10 @@ class MydriveController:
         self._next_ns += round(self._settings.period_s * 1e9)
         self._axis.at(now_ns)
         axis = self._axis
+        behind = abs(axis.following_error_inc()) / self._inc
+        if self._is_on and not self._fault and behind > self._settings.following_error_rev:
+            self._fault = 4
+            self._switch(on=False)
         is_moving = self._is_on and (
             bool(axis.flags & flags.PROFILE_ACTIVE) or not axis.flags & flags.IN_TARGET_WINDOW
         )

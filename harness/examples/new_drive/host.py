@@ -77,7 +77,7 @@ SWITCH_OFF, SWITCH_ON, MOVE, STOP, CLEAR = range(5)
 NODE_ID_MAX: Final = 0x3F
 STEPS: Final = 65536  # per turn of the motor
 PERIOD_S: Final = 0.01  # of status and estimate
-FAULTS: Final = {1: "over-temperature", 2: "over-voltage", 3: "no host"}
+FAULTS: Final = {1: "over-temperature", 2: "over-voltage", 3: "no host", 4: "cannot follow"}
 
 _ALIVE_S: Final = 0.02
 _ANSWER_S: Final = 0.2

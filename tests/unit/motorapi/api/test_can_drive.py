@@ -179,6 +179,23 @@ def test_exchange_returns_with_its_answer_or_a_reason(rig, drive):
         drive.exchange(lambda: drive.request(COMMAND), lambda: len(got) > 1, 0.1, "the answer")
 
 
+def test_exchange_repeats_its_request_until_answered(rig, drive):
+    asked, got = [], []
+    drive.handle(ANSWER, lambda data, time_ns: got.append(time_ns))
+
+    def ask():
+        asked.append(rig.runtime.now_ns())
+        drive.request(COMMAND)
+        if len(asked) == 3:
+            rig.peer.send(pack(ANSWER))
+
+    drive.exchange(ask, lambda: bool(got), 1.0, "the answer", repeat_s=0.02)
+    assert [round((now_ns - asked[0]) / 1e9, 6) for now_ns in asked] == [0.0, 0.02, 0.04]
+    with pytest.raises(DeadlineExceeded):
+        drive.exchange(ask, lambda: False, 0.05, "another", repeat_s=0.02)
+    assert len(asked) == 6
+
+
 def test_bus_off_ends_waits_at_once(rig, drive):
     began_ns = rig.runtime.now_ns()
 

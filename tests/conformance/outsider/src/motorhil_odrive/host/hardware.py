@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.api import (
     CanDrive,
-    DeadlineExceeded,
     LinkError,
     PeerError,
     PeriodicMessage,
     SentFrame,
     checked_node,
-    wait_until,
 )
 
 from motorhil_odrive.host import messages as m
@@ -209,23 +207,16 @@ class OdriveHwMotor:
         Raises:
             DeadlineExceeded: no such heartbeat came within `timeout_s` [s].
         """
-        runtime = self.drive.runtime
-        since_ns = runtime.now_ns()
-        end_ns = since_ns + round(timeout_s * 1e9)
+        since_ns = self.drive.runtime.now_ns()
 
         def is_there() -> bool:
             heard = self.heard.heartbeat
             return heard is not None and heard.time_ns > since_ns and wanted(heard)
 
-        while True:
-            self.ask_for_heartbeat()
-            if wait_until(runtime, is_there, _ASK_S):
-                assert self.heard.heartbeat is not None  # checked by is_there
-                return self.heard.heartbeat
-            if runtime.now_ns() >= end_ns:
-                what = f"{self.label}: a heartbeat that shows what was commanded"
-                told = f"{self.heard.heartbeat}"
-                raise DeadlineExceeded(awaited=what, timeout_s=timeout_s, last_heard=told)
+        awaited = "a heartbeat that shows what was commanded"
+        self.drive.exchange(self.ask_for_heartbeat, is_there, timeout_s, awaited, repeat_s=_ASK_S)
+        assert self.heard.heartbeat is not None  # checked by is_there
+        return self.heard.heartbeat
 
     # --- background ----------------------------------------------------------------------------
 
