@@ -144,14 +144,17 @@ def pack(
 
 
 def require_fd(bus: "can.BusABC") -> None:
-    """Check that this bus object was opened for CAN FD.
+    """Check that this bus object was not opened for classical CAN; a line of bytes never was.
 
     Raises:
-        UsageError: it was opened for classical CAN.
+        UsageError: it was.
     """
+    protocol = getattr(bus, "protocol", None)
+    if protocol is None:
+        return
     from can import CanProtocol
 
-    if bus.protocol is CanProtocol.CAN_20:
+    if protocol is CanProtocol.CAN_20:
         raise UsageError(
             f"{bus.channel_info}: opened for classical CAN; open it with fd=True to exchange CAN "
             "FD frames (interface 'virtual': with protocol=can.CanProtocol.CAN_FD)"

@@ -153,7 +153,7 @@ class _Closed(BaseException):
 class _Listener:
     def __init__(self, link: "_BusLink", on_frame: FrameListener, fd: bool) -> None:
         self._link = link
-        self.fd: Final = fd
+        self.takes_any_length: Final = fd or not hasattr(link.bus, "protocol")  # a line of bytes
         self.on_frame = on_frame
 
     def cancel(self) -> None:
@@ -429,7 +429,7 @@ class WallRuntime:
                 link, frame, time_ns, transmitted = self._pending.popleft()
                 classical = len(frame) == CAN_FRAME_BYTES
                 for listener in tuple(link.listeners):
-                    if classical or listener.fd:
+                    if classical or listener.takes_any_length:
                         self._run_callback(listener.on_frame, frame, time_ns, transmitted)
             self._changed.notify_all()
 
