@@ -4,7 +4,7 @@ The table of all clauses in Markdown: `python -m motorhil.harness.conformance.ki
 """
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Final
 
@@ -44,14 +44,20 @@ reused.
 
 def all_clauses() -> Mapping[str, Clause]:
     """Return all clauses by id, ordered by level, then by module."""
-    for name in _MODULES:
-        import_module(f"motorhil.harness.conformance.clauses.{name}")
-    return in_order(registered())
+    modules = [f"motorhil.harness.conformance.clauses.{name}" for name in _MODULES]
+    for name in modules:
+        import_module(name)
+    return in_order(registered(), modules)
 
 
-def in_order(clauses: Mapping[str, Clause]) -> Mapping[str, Clause]:
-    """Return the clauses by id, ordered by level; those of a level keep their order."""
-    return {one.id: one for one in sorted(clauses.values(), key=lambda one: one.level)}
+def in_order(clauses: Mapping[str, Clause], modules: Sequence[str]) -> Mapping[str, Clause]:
+    """Return the clauses by id, ordered by level, then by module, in whatever order they came."""
+    place = {name: number for number, name in enumerate(modules)}
+
+    def rank(one: Clause) -> tuple[Level, int]:
+        return one.level, place.get(one.check.__module__, len(place))
+
+    return {one.id: one for one in sorted(clauses.values(), key=rank)}
 
 
 def page() -> str:

@@ -45,9 +45,10 @@ def drive_clause(name: str, level: Level, *, source: str) -> Callable[[Check], C
 
 def drive_clauses() -> Mapping[str, Clause]:
     """Return all clauses for drives by id, ordered by level, then by module."""
-    for name in _MODULES:
-        import_module(f"motorhil.harness.conformance.drives.clauses.{name}")
-    return in_order(_CLAUSES)
+    modules = [f"motorhil.harness.conformance.drives.clauses.{name}" for name in _MODULES]
+    for name in modules:
+        import_module(name)
+    return in_order(_CLAUSES, modules)
 
 
 def page() -> str:

@@ -1,9 +1,12 @@
-"""Mistakes that show only with destroyed frames and error counters."""
+"""Mistakes that show only with bus errors, other programs on the bus, or large loads."""
 
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
 from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmissions
 from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
+from motorhil.motorapi.adaptations.canopen.sync import BusSync
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
+from motorhil.motorapi.adaptations.host_servo.servo import Servo
+from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
 from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
 from motorhil.motorapi.state import Fault, MotorState
 from tests.conformance.mutants import mutant, replaced
@@ -133,4 +136,50 @@ def any_error_message_is_the_end():
         replaced(CanLink, "_on_error", wrong),
         replaced(DriveReader, "fresh_state", offline),
     ):
+        yield
+
+
+@mutant("cia402", "CLOCK-01")
+def nobody_else_sends_sync():
+    """SYNC is produced without looking for another producer."""
+    with replaced(BusSync, "find_cyclic", lambda _: lambda sync: None):
+        yield
+
+
+@mutant("cia402", "CLOCK-02")
+def two_clocks_are_as_good_as_one():
+    """A SYNC of another producer beside our own is ignored."""
+    with replaced(BusSync, "_stray", lambda _: lambda sync, time_ns: None):
+        yield
+
+
+@mutant("software", "CLOCK-02")
+def a_clock_that_ends_will_come_back():
+    """The end of the SYNC of another program is not noticed."""
+    with replaced(BusSync, "_overdue", lambda _: lambda sync: None):
+        yield
+
+
+@mutant("leadshine", "OTHER-01")
+def a_stopped_drive_will_go_on():
+    """A drive that rests short of its target is awaited for ever."""
+    with replaced(PolledMotor, "_refuse_interrupted", lambda _: lambda motor, poll: None):
+        yield
+
+
+@mutant("software", "OVER-01")
+def the_following_error_is_only_told():
+    """A following error never ends a motion, however large it is."""
+    with replaced(Servo, "_judge_following", lambda _: lambda servo, course, error: None):
+        yield
+
+
+@mutant("cia402", "BUS-05")
+def an_answer_may_come_through_a_dead_bus():
+    """In bus-off, the answer to a request is awaited up to the usual timeout."""
+
+    def wrong(_is_over):
+        return lambda client: bool(client._answers) or client.booted
+
+    with replaced(ChannelClient, "_is_over", wrong):
         yield

@@ -372,11 +372,14 @@ def test_plugin_that_exits_when_imported_is_reported(plugin, say):
 )
 def test_plugin_for_another_api_version_is_refused(plugin, say, version, remedy):
     text = f"from motorhil.emulators.api import controller as mark\n@mark(api={version})\n"
-    plugin("other_plugin", text + "def controller(settings, context):\n    raise AssertionError\n")
+    plugin(
+        f"plugin_for_{version}",
+        text + "def controller(settings, context):\n    raise AssertionError\n",
+    )
     assert say("check", "rig.toml") == (
         2,
         "",
-        f"{LEFT_KIND}(other_plugin:controller) was written for version {version} of"
+        f"{LEFT_KIND}(plugin_for_{version}:controller) was written for version {version} of"
         f" motorhil.emulators.api; this motorhil has version 1; {remedy}\n",
     )
 
