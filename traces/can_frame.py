@@ -77,6 +77,8 @@ def flexible(can_id: int, flags: int, data: bytes) -> bytes:
 
 
 def _checked(can_id: int) -> int:
+    if not 0 <= can_id < 1 << 32:
+        raise ValueError(f"identifier {can_id:X}h has more than 29 bits")
     limit = EFF_MASK if can_id & (EFF | ERR) else SFF_MASK
     if can_id & EFF_MASK > limit:
         raise ValueError(f"identifier {can_id & EFF_MASK:X}h needs 29 bits")

@@ -43,7 +43,8 @@ _Line = tuple[int, str]
 
 _ENDS: Final = re.compile(r"\r\n|\n|\r")
 _SECTION: Final = re.compile(r"\[([^\]]*)(\]?)\s*(.*)")
-_TAIL_COMMENT: Final = re.compile(r"\s+(;|//).*$")
+_TAIL_COMMENT: Final = re.compile(r"(?<!\s)\s+(;|//).*$")
+_SHOWN: Final = 80  # characters of a value in a message
 _OBJECT_SECTION: Final = re.compile(r"[0-9a-f]{4}(sub[0-9a-f]{1,2})?")
 _VALUES: Final = re.compile(r"[0-9a-f]{4}value")
 # The keys whose values the reader uses, by their lower-case name.
@@ -71,7 +72,7 @@ _OBJECT_NAMES: Final = frozenset(key.lower() for key in _OBJECT_KEYS)
 _IDENTITY_NAMES: Final = frozenset(key.lower() for key in _IDENTITY_KEYS)
 
 _NODE_ID: Final = re.compile(r"\$node_?id", re.IGNORECASE)
-_COMMENT: Final = re.compile(r"\s*(;|//|/\*|#|\().*$")
+_COMMENT: Final = re.compile(r"(?<!\s)\s*(;|//|/\*|#|\().*$")
 _HEX: Final = re.compile(r"([+-]?)0x([0-9a-f]+)", re.IGNORECASE)
 _HEX_WITH_H: Final = re.compile(r"([+-]?)([0-9a-f]+)h", re.IGNORECASE)
 _DECIMAL: Final = re.compile(r"[+-]?[0-9]+")
@@ -374,7 +375,7 @@ def parse_integer(text: str, node_id: int) -> tuple[int, bool, str]:
         return int(match[1] + match[2], 16), True, f"read as 0x{match[2]}"
     if match := _WHOLE_REAL.fullmatch(cut):
         return int(match[1]), False, f"read as {match[1]}"
-    raise ValueError(f"{text!r} is no number")
+    raise ValueError(f"{text[:_SHOWN]!r} is no number")
 
 
 def _decimal(text: str, remark: str) -> tuple[int, bool, str]:
@@ -393,7 +394,7 @@ def _with_node_id(text: str, node_id: int) -> tuple[int, bool, str]:
     cut = _COMMENT.sub("", text.strip())
     rest = "".join(_NODE_ID.sub("", cut, count=1).split())
     if rest and not (rest[0] == "+" or rest[-1] == "+"):
-        raise ValueError(f"{text!r} is not $NODEID plus a number")
+        raise ValueError(f"{text[:_SHOWN]!r} is not $NODEID plus a number")
     rest = rest.strip("+")
     if not rest:
         return node_id, True, ""

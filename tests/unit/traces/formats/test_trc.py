@@ -123,3 +123,10 @@ def test_file_of_one_bus_has_what_savvycan_expects(tmp_path):
         (0, b""),
     ]
     assert list(open_source(tmp_path / "a.trc").frames(Findings())) == frames
+
+
+@pytest.mark.parametrize("can_id", ["1FFFFFFFF0", "8000000000000001"])
+def test_identifier_of_more_than_32_bits_is_a_finding(can_id):
+    frames, findings = read(*HEAD_2, f"      1      1059.900 DT 1 {can_id} Rx -  1 FF")
+    assert frames == []
+    assert any("has more than 29 bits" in one for one in map(str, findings.problems))

@@ -297,3 +297,10 @@ def test_random_lines_are_read_or_refused_in_one_line(tmp_path_factory, lines):
     except EdsError as error:
         message = str(error)
     assert "\n" not in message
+
+
+def test_value_with_a_long_gap_is_refused_in_short(read):
+    """Before, a search for a comment began again at each of the blanks."""
+    with pytest.raises(EdsError) as caught:
+        read(GOOD.replace("ProductNumber=7", "ProductNumber=7" + " " * 300_000 + "7"))
+    assert len(str(caught.value)) < 300
