@@ -23,6 +23,7 @@ from motorhil.motorapi.ownership.physical_motor import (
 )
 from motorhil.motorapi.runtime.api import ChangeCounter, wait_until
 from motorhil.motorapi.runtime.can_sources import ERROR_FLAG, BusStatus, pack, status_of
+from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.runtime.wall import runtime_of
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
@@ -147,7 +148,7 @@ class CanDrive:
         self._signs: Final[list[SignOfLife]] = []
         self._told: Final[dict[Hashable, object]] = {}
         self._told_token = -1
-        self._connecting = False
+        self._connecting: Final = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
         lock = None if where is None else ProcessLock(f"{where}-node{node}", self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
@@ -250,12 +251,7 @@ class CanDrive:
         self.status.check()
         if is_up():
             return
-        others_s = 2.0 * timeout_s
-        if not wait_until(self.runtime, lambda: not self._connecting, others_s):
-            awaited = f"{self.label}: connecting"
-            raise DeadlineExceeded(awaited=awaited, timeout_s=others_s, last_heard="nothing")
-        self._connecting = True
-        try:
+        with self._connecting.turn(2.0 * timeout_s, f"{self.label}: connecting"):
             end_ns = self.runtime.now_ns() + round(timeout_s * 1e9)
             while not is_up():
                 if self.runtime.now_ns() >= end_ns:
@@ -263,8 +259,6 @@ class CanDrive:
                     raise LinkError(link=self.label, reason=reason)
                 ask()
                 wait_until(self.runtime, is_up, _CONNECT_ASK_S)
-        finally:
-            self._connecting = False
 
     def overheard(self, by: str, time_ns: int) -> None:
         """Record that another program commanded the drive, and so ended the active motion.

@@ -39,7 +39,7 @@ INTERPRETED = {
         "motorapi/adaptations/canopen/bus_load.py",
         "motorapi/adaptations/canopen/objects.py",
         "motorapi/adaptations/canopen/sdo.py",
-        "motorapi/adaptations/canopen/turn_lock.py",
+        "motorapi/runtime/turn_lock.py",
         "motorapi/adaptations/cia402/sync_start.py",
         "motorapi/adaptations/canopen/sync.py",
         "motorapi/adaptations/cia402/controlword.py",

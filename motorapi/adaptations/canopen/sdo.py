@@ -30,7 +30,6 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
 from motorhil.motorapi.adaptations.canopen.objects import Value, decode
-from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     MotorBusyError,
@@ -39,6 +38,7 @@ from motorhil.motorapi.errors import (
 )
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
 from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.turn_lock import TurnLock
 
 if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Fence

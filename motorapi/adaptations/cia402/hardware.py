@@ -25,7 +25,6 @@ from motorhil.motorapi.adaptations.canopen.link import (
 from motorhil.motorapi.adaptations.canopen.node import node_locks
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.objects import Value
-from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts, HwOptions, bring_up
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
@@ -40,6 +39,7 @@ from motorhil.motorapi.ownership.physical_motor import (
     register_physical_motor,
     release_physical_motor,
 )
+from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.runtime.wall import runtime_of
 
 if TYPE_CHECKING:

@@ -32,7 +32,6 @@ from motorhil.motorapi.adaptations.canopen.pdo_setup import (
     PdoWish,
 )
 from motorhil.motorapi.adaptations.canopen.sync import SYNC_ID
-from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.host_servo.cycle import Axis, ChannelPair, Cycle, cycle_of
 from motorhil.motorapi.adaptations.host_servo.occupation import NodeOccupation
 from motorhil.motorapi.adaptations.host_servo.settings import IoOptions
@@ -44,6 +43,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 
 if TYPE_CHECKING:

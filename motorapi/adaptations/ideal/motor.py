@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
-from motorhil.motorapi.api.registration import Shared, read_settings
+from motorhil.motorapi.api.registration import API_VERSION, Shared, adaptation, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError
 from motorhil.motorapi.motion import Motion
@@ -248,6 +248,7 @@ class IdealTable:
     }
 
 
+@adaptation(api=API_VERSION, needs_bus=False)
 def build(
     bus: None, settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> IdealMotor:
@@ -256,7 +257,7 @@ def build(
     Motors that name the same axis share one hardware object, made by the first of them.
 
     Args:
-        bus: None (see `build.needs_bus`).
+        bus: None.
         settings: `name`; `axis` (default: the name); the initial position and the torque constant,
             both with their units: `position_rad`, `torque_constant_n_m_a`, of a linear motor
             `position_m`, `torque_constant_n_a`.
@@ -284,6 +285,3 @@ def build(
         ),
     )
     return IdealMotor(hardware, model, name=name, on_close=lambda: _SHARED.give_back(hardware))
-
-
-build.needs_bus = False  # type: ignore[attr-defined]  # what a rig asks of every adaptation

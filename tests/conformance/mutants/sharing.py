@@ -4,7 +4,6 @@ from contextlib import contextmanager
 
 from motorhil.motorapi import Motor, MotorBusyError
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
-from motorhil.motorapi.adaptations.canopen.turn_lock import TurnLock
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
@@ -15,6 +14,7 @@ from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.ownership.ownership import Ownership, WaitQueue
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from motorhil.motorapi.ownership.queue import FifoQueue
+from motorhil.motorapi.runtime.turn_lock import TurnLock
 from tests.conformance.mutants import mutant, replaced
 from tests.support.sharing.mutants import a_lock_without_fifo, no_fencing
 

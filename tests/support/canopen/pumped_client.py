@@ -6,6 +6,7 @@ queue, the PDO maps' conditions and p402's clock are replaced by versions that a
 
 import queue
 import types
+from abc import abstractmethod
 
 import canopen
 import canopen.profiles.p402 as p402
@@ -15,12 +16,13 @@ from canopen.sdo import SdoClient
 class PumpedNetwork(canopen.Network):
     """A network without connection; subclasses send frames and let virtual time pass."""
 
+    @abstractmethod
     def now_ns(self) -> int:
-        raise NotImplementedError
+        """Return the network's time."""
 
+    @abstractmethod
     def pump_until(self, done, timeout_s: float) -> bool:
         """Let time pass, with frames both ways, and return whether `done` in time."""
-        raise NotImplementedError
 
     def pump(self, duration_ns: int) -> None:
         self.pump_until(lambda: False, duration_ns / 1e9)

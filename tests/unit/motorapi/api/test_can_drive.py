@@ -160,6 +160,24 @@ def test_connect_asks_until_the_drive_is_heard(rig, drive):
     assert len(asked) == 3
 
 
+def test_first_of_two_callers_connects_for_both(rig, drive):
+    asked, up = [], []
+    drive.handle(ALIVE, lambda data, time_ns: up.append(time_ns))
+
+    def connect(name):
+        def ask():
+            asked.append(name)
+            if len(asked) == 3:
+                rig.peer.send(pack(ALIVE))
+
+        drive.connect(lambda: bool(up), ask, 1.0, "heartbeat")
+
+    other = rig.runtime.spawn("other", lambda: connect("other"))
+    connect("first")
+    assert other.join(1.0)
+    assert (other.error, len(asked), len(set(asked))) == (None, 3, 1)
+
+
 def test_drive_that_is_not_heard_is_a_link_error(drive):
     with pytest.raises(LinkError, match=r"can0 node 1: no heartbeat within 0\.5 s"):
         drive.connect(lambda: False, lambda: None, 0.5, "heartbeat")
