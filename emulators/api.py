@@ -9,8 +9,11 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.emulators.can.frame import (
+    BRS,
     EFF_FLAG,
     ERR_FLAG,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
     RTR_FLAG,
     can_id_of,
     data_of,
@@ -44,8 +47,11 @@ from motorhil.settings import (
 )
 
 __all__ = [
+    "BRS",
     "EFF_FLAG",
     "ERR_FLAG",
+    "FD_FRAME_BYTES",
+    "FD_LENGTHS",
     "NEVER_NS",
     "RANGES",
     "REQUIRED",
