@@ -595,7 +595,7 @@ class MoteusController:
         values.update({0x038: control, 0x039: control_v, 0x03B: error, 0x03C: error_v})
         values[0x03D] = torque - demand
         values.update({0x050: position, 0x051: velocity, 0x058: 3, 0x158: 1})
-        values.update({0x070: (self._now_ns - self._boot_ns) // _MS, 0x074: nan, 0x075: nan})
+        values.update({0x070: (self._now_ns - self._boot_ns) // _MS, 0x073: nan, 0x075: nan})
         return values
 
     def _limiting(self) -> int:
