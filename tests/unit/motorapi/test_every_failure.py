@@ -106,6 +106,12 @@ def failures_of(calls, thing):
 
 
 CASES = [(hook, RAISED[0]) for hook in HOOKS]
+DEFAULTS = {
+    "_halt": ("_stop",),
+    "_read_torque": ("_refresh", "_latest"),
+    "_read_following_error": ("_refresh", "_latest"),
+}
+"""The hooks that another one calls by default."""
 CASES += [(hook, planted) for hook in ("_arm", "_is_done", "_stop") for planted in RAISED[1:]]
 
 
