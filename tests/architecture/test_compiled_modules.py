@@ -98,6 +98,7 @@ FOLDERS = (
     *("harness/sharing_tests", "harness/virtual_time/stdlib"),
     *("motorapi", "motorapi/adaptations", "motorapi/adaptations/ideal", "motorapi/api"),
     *("motorapi/adaptations/leadshine", "motorapi/adaptations/modbus"),
+    *("motorapi/adaptations/moteus",),
     *("motorapi/adaptations/oriental_az", "motorapi/functions", "motorapi/generation"),
     *("motorapi/locking", "motorapi/ownership", "motorapi/planning", "motorapi/synchronization"),
     *("traces/decoding", "traces/exchange", "traces/formats", "traces/semantics"),
