@@ -3,7 +3,8 @@
 A moteus sends nothing by itself, so the hardware object asks it periodically. While a motion goes
 on, it repeats the whole command instead, which feeds the watchdog of the drive: without the host,
 the drive stops. At the end, a command without a watchdog holds the position, so that an idle motor
-needs no program. After a timeout, the drive obeys only after a stop; the state is DISABLED then.
+needs no program. After a timeout, the motor has current but holds no position; its state is STOPPED
+until `enable`.
 
 Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
@@ -74,7 +75,8 @@ _STOP: Final = bytes.fromhex("010000")
 _OUTPUT_ZERO: Final = bytes.fromhex("0db102 00000000")  # write 131 as float
 _STATES: Final = {
     FAULT: MotorState.FAULT,
-    **dict.fromkeys((POSITION, *_OTHERS), MotorState.ENABLED),
+    POSITION: MotorState.ENABLED,
+    **dict.fromkeys((TIMEOUT, *_OTHERS), MotorState.STOPPED),  # with current, at no position
 }
 _FAULTS: Final = {
     **{32: "calibration", 33: "motor driver", 34: "over-voltage", 35: "encoder"},
@@ -235,7 +237,9 @@ class MoteusHwMotor:
         data = _packed(nan, -1.0, deceleration, nan)
         with self._sending:
             self._fed = None
-            if self.status is not None and self.status.mode in (POSITION, *_OTHERS):
+            is_obeyed = self.status is not None and self.status.mode in (POSITION, *_OTHERS)
+            self.is_over = not is_obeyed  # it rests, or a timeout has stopped it
+            if is_obeyed:
                 self._follow(None, window, self.drive.stop_command, data)
 
     def obey(self, data: bytes, is_there: Callable[[Status], bool], awaited: str) -> Status:
@@ -422,7 +426,7 @@ class MoteusMotor(Motor):
         self._hardware.move(
             motion.target * self._rev,
             motion.velocity * size,
-            motion.acceleration * size,
+            min(motion.acceleration, motion.deceleration) * size,
             self._window,
         )
 
