@@ -39,6 +39,7 @@ from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
     REQUIRED,
     SettingError,
+    flag,
     number,
     read,
     table,
@@ -68,6 +69,7 @@ __all__ = [
     "can_id_of",
     "controller",
     "data_of",
+    "flag",
     "flags",
     "ns",
     "number",

@@ -154,11 +154,11 @@ class Servo:
 
     # --- commanded
 
-    def forget_turns(self) -> None:
-        """Keep of the position what the encoder knows: less than half a turn of the motor."""
-        self.axis.set_position(
-            self.axis.count() - round(self.axis.count() / self._turn) * self._turn
-        )
+    def restart(self, knows_turns: bool) -> None:
+        """Take the position of the encoder: of the output, or within half a turn of the motor."""
+        count = self.axis.count()
+        turns = 0 if knows_turns else round(count / self._turn)
+        self.axis.set_position(count - turns * self._turn)
 
     def scale(self, kp: float, kd: float, integral: float) -> None:
         """Multiply the gains; a number that is not finite counts as 0."""

@@ -39,6 +39,7 @@ from motorhil.emulators.api import (
     can_id_of,
     controller,
     data_of,
+    flag,
     flags,
     number,
     on_own_time,
@@ -86,6 +87,9 @@ class MoteusTable(MotorTable):
     poles: int = whole(14, 0, 255, "", "Poles of the motor; 0: not configured.")
     rotor_to_output_ratio: float = number(
         1.0, 0, _MANY, "", "Turns of the output per turn of the motor.", above=True
+    )
+    output_encoder: bool = flag(
+        False, "An absolute encoder at the output; without one, power-off loses whole turns."
     )
     kp_n_m_rev: float | None = number(
         None, 0, _MANY, "N·m/rev", "Gain kp; absent: of the rig's servo."
@@ -166,8 +170,8 @@ class MoteusController:
         self._is_powered = True
         self._boot_ns = self._now_ns = now_ns
         self._servo.axis.at(now_ns)
-        self._servo.forget_turns()
-        self._home = 1
+        self._servo.restart(self._table.output_encoder)
+        self._home = 2 if self._table.output_encoder else 1
         self._given, self._stored = r.defaults(), dict.fromkeys(r.STORED, 0.0)
 
     def next_deadline_ns(self) -> int | None:

@@ -3,7 +3,7 @@
 Times and codes: mjbots/moteus fw/bldc_servo_control.h, fw/bldc_servo_position.h, fw/error.h.
 """
 
-from math import nan, sqrt
+from math import nan, pi, sqrt
 
 import pytest
 
@@ -404,6 +404,11 @@ def test_millisecond_counter_wraps_by_its_type():
     assert bench.tell("1170") == "217070"
     assert bench.tell("1570") == "25707011"
     assert bench.read(0x070) == [70_000.0]
+
+
+def test_encoder_of_the_output_keeps_turns():
+    bench = Bench(initial_position_rad=1.0, output_encoder=True)
+    assert bench.read(WHERE, 0x00C) == [pytest.approx(66 / (2 * pi), abs=1e-3), 2]
 
 
 @pytest.mark.parametrize(
