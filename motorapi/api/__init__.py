@@ -8,7 +8,7 @@ object what every drive repeats; `SetpointStream` serves drives without a profil
 other modules of motorhil may change at any time.
 """
 
-from motorhil.motorapi.api.can_drive import CanDrive, SentFrame, SignOfLife, checked_node
+from motorhil.motorapi.api.can_drive import CanDrive, SignOfLife, checked_node
 from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
@@ -31,6 +31,7 @@ from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger

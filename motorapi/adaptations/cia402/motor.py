@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
-from motorhil.motorapi.adaptations.canopen.link import Transmission
 from motorhil.motorapi.adaptations.cia402.bringup import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
@@ -63,6 +62,7 @@ from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.runtime.api import Registration
+from motorhil.motorapi.runtime.can_link import Transmission
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
