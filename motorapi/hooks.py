@@ -51,7 +51,6 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
-    DeviceFault,
     LinkError,
     MotionInterrupted,
     MotorError,
@@ -553,9 +552,7 @@ class MotorHooks(Device, ABC):
             return run is None
         if latest.state is MotorState.FAULT:
             fault = self._read_fault() or Fault(0, "", latest.time_ns)
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
         is_off = latest.state is MotorState.DISABLED and latest.time_ns > (
             run.since_ns if run else 0
         )

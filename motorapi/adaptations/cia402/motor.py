@@ -214,24 +214,18 @@ class Cia402Motor(Motor):
     ) -> None:
         _check_parts(hardware, model)
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
+            on_close=on_close,
         )
         self._hardware = hardware
         self._node = hardware.node
         self._control = hardware.control
         self._objects = hardware.objects
         self._reader = DriveReader(hardware, model, self.name)
-        self._on_close = on_close
         self._motions = DriveMotions(hardware, model, self._reader, self.name)
-
-    def close(self) -> None:
-        """Close the motor; further calls do nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     @property
     def hardware(self) -> Cia402HwMotor:
