@@ -467,7 +467,7 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
 @clause(
     "HOME-02",
     Level.L2,
-    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    needs={Capability.POSITION_TRAJECTORY},
     source="Motor.home: UnsupportedError, the motor does not know the method",
 )
 def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
