@@ -41,6 +41,7 @@ from motorhil.settings import (
     table,
     text,
     whole,
+    word,
 )
 
 __all__ = [
@@ -73,4 +74,5 @@ __all__ = [
     "table",
     "text",
     "whole",
+    "word",
 ]

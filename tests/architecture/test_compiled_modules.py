@@ -86,7 +86,8 @@ INTERPRETED = {
 }
 # Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
 FOLDERS = (
-    *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
+    *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/mit"),
+    *("emulators/modbus",),
     *("emulators/oriental_az", "emulators/settings"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
