@@ -45,6 +45,7 @@ from motorhil.settings import (
     table,
     text,
     whole,
+    word,
 )
 
 __all__ = [
@@ -81,4 +82,5 @@ __all__ = [
     "table",
     "text",
     "whole",
+    "word",
 ]
