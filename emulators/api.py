@@ -35,12 +35,16 @@ from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
     REQUIRED,
+    Number,
     SettingError,
+    TablesByKey,
     number,
     read,
+    setting,
     table,
     text,
     whole,
+    word,
 )
 
 __all__ = [
@@ -57,7 +61,9 @@ __all__ = [
     "MotorSettings",
     "MotorTable",
     "NonvolatileMemory",
+    "Number",
     "SettingError",
+    "TablesByKey",
     "axis_of",
     "can_id_of",
     "controller",
@@ -70,7 +76,9 @@ __all__ = [
     "pack_fd",
     "pack_remote",
     "read",
+    "setting",
     "table",
     "text",
     "whole",
+    "word",
 ]
