@@ -108,6 +108,6 @@ class EmulatedLine:
 
 
 if TYPE_CHECKING:  # lets mypy check that EmulatedLine is a ByteLine
-    from motorhil.motorapi.adaptations.modbus.client import ByteLine
+    from motorhil.motorapi.api.line_exchanges import ByteLine
 
     _EMULATED: type[ByteLine] = EmulatedLine
