@@ -6,11 +6,12 @@ homing offset. The encoder reads 2048 at the zero of the output.
 Choices of this emulator, where the maker publishes nothing: the control gains are kept without
 effect, as the servo is the rig's; so are goal PWM and the operating mode for PWM (16), in which the
 motor has no current. At torque on, the goal is the present position, or a velocity or current of 0.
-The current is the motor's own, in all models.
+The current is the motor's own, in all models. The present velocity is the output's, without noise.
 
 Source: the maker's manuals, for profiles 64 V/A [ms] and 64 counts/V [ms].
 """
 
+from math import pi
 from typing import Final, final
 
 from motorhil.emulators.api import Axis, MotorSettings, axis_of
@@ -142,7 +143,7 @@ class Motion:
 
     def is_moving(self) -> bool:
         """Return whether a position profile runs, or the velocity is above the threshold."""
-        speed = abs(self._velocity(self.axis.velocity_inc_s()))
+        speed = abs(self._velocity(self._counts_s()))
         return self.is_profiling() or speed > self._memory["moving_threshold"]
 
     def is_profiling(self) -> bool:
@@ -163,9 +164,11 @@ class Motion:
         pwm = round(PWM_MAX * volts / plant.supply_v)
         memory["present_pwm"] = sign * max(-PWM_MAX, min(PWM_MAX, pwm))
         memory["present_current"] = sign * round(amps / unit_a)
-        memory["present_velocity"] = self._velocity(axis.velocity_inc_s())
+        memory["present_velocity"] = self._velocity(self._counts_s())
         memory["present_position"] = self.position()
-        memory["velocity_trajectory"] = self._velocity(axis.demand_velocity_inc_s())
+        memory["velocity_trajectory"] = self._velocity(
+            axis.demand_velocity_inc_s() / self._inc_count
+        )
         memory["position_trajectory"] = self.position(axis.demand_inc())
 
     def _moving_status(self) -> int:
@@ -195,5 +198,8 @@ class Motion:
         counts = goal - self._offset() + self._turned - CENTRE
         return int((self._sign() * counts + 0.5) * self._inc_count // 1.0)
 
-    def _velocity(self, inc_s: float) -> int:
-        return round(self._sign() * inc_s / self._inc_count / COUNTS_S)
+    def _counts_s(self) -> float:
+        return self.axis.output_velocity_rad_s() * TURN / (2.0 * pi)
+
+    def _velocity(self, counts_s: float) -> int:
+        return round(self._sign() * counts_s / COUNTS_S)

@@ -237,6 +237,11 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def fire(self) -> None:
         """Start the armed motion; for its trigger."""
         self.hardware.trigger()
+        self.fired()
+
+    @final
+    def fired(self) -> None:
+        """Note that the armed motion was started; for a trigger shared with others."""
         state = self.hardware.progress
         self._begun(state.armed, state.armed_at, state.armed_s)
 
