@@ -38,13 +38,17 @@ from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
     REQUIRED,
+    Number,
     SettingError,
+    TablesByKey,
     flag,
     number,
     read,
+    setting,
     table,
     text,
     whole,
+    word,
 )
 
 __all__ = [
@@ -64,7 +68,9 @@ __all__ = [
     "MotorSettings",
     "MotorTable",
     "NonvolatileMemory",
+    "Number",
     "SettingError",
+    "TablesByKey",
     "axis_of",
     "can_id_of",
     "controller",
@@ -78,7 +84,9 @@ __all__ = [
     "pack_fd",
     "pack_remote",
     "read",
+    "setting",
     "table",
     "text",
     "whole",
+    "word",
 ]

@@ -51,7 +51,6 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
-    DeviceFault,
     LinkError,
     MotionInterrupted,
     MotorError,
@@ -62,7 +61,7 @@ from motorhil.motorapi.errors import (
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.physical_motor import ActiveMotion, PhysicalMotor
-from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, Runtime
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
@@ -482,9 +481,10 @@ class MotorHooks(Device, ABC):
         """Refresh the data that `_latest` and `_is_done` evaluate: ask a drive that must be asked.
 
         Returns:
-            The polling interval during a wait [s]; None if the hardware reports changes itself.
+            The polling interval during a wait [s]; None if the hardware reports changes itself. By
+            default, None if `physical.news` counts them, else 10 ms.
         """
-        return None
+        return LOOK_PERIOD_S if self._physical.news is None else None
 
     # ---- fault, reference ----
 
@@ -552,9 +552,7 @@ class MotorHooks(Device, ABC):
             return run is None
         if latest.state is MotorState.FAULT:
             fault = self._read_fault() or Fault(0, "", latest.time_ns)
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
         is_off = latest.state is MotorState.DISABLED and latest.time_ns > (
             run.since_ns if run else 0
         )

@@ -88,6 +88,7 @@ INTERPRETED = {
 FOLDERS = (
     *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
     *("emulators/moteus", "emulators/oriental_az", "emulators/settings"),
+    *("emulators/mit",),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
