@@ -1,5 +1,7 @@
 """A motor whose adaptation implements the six hooks that are a must, and nothing else."""
 
+from dataclasses import fields
+
 import pytest
 
 from motorhil.motorapi.commands import ControlMode, DerivativeLimits
@@ -12,10 +14,12 @@ from motorhil.motorapi.errors import (
     UsageError,
 )
 from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.hooks import Hooks
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
+from tests.support.checkout import CHECKOUT
 from tests.support.motors.plain import MODEL, PlainHwMotor, fault_now
 
 
@@ -192,3 +196,9 @@ def test_command_that_no_default_can_follow_is_refused(motor):
     motor.set_control_mode(ControlMode.TRAJECTORY)
     with pytest.raises(UnsupportedError, match="limited jerk"):
         motor.set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=1.0)))
+
+
+def test_every_hook_is_on_the_page_of_the_api():
+    page = (CHECKOUT / "docs" / "reference" / "adaptation.md").read_text()
+    hooks = {field.name for field in fields(Hooks)} - {"plugin"} | {"command"}
+    assert [hook for hook in sorted(hooks) if f"`_{hook}(" not in page] == []
