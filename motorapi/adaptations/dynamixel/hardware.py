@@ -111,6 +111,8 @@ class DynamixelLine(ExchangeLine[Request, Status]):
         start: the trigger of groups on this line.
     """
 
+    HAS_SILENCES: ClassVar[bool] = False
+
     def __init__(self, line: ByteLine, runtime: "Runtime", lock: "ProcessLock | None") -> None:
         super().__init__(line, runtime, lock)
         self.start: Final = GroupStart()
@@ -233,7 +235,7 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         state = state if is_on else MotorState.DISABLED
         profile_runs = bool(seen[123 - _FROM] & 2)
         demand_speed = self._at(_TRAJECTORY, 4)
-        is_moving = bool(self._at(122, 1)) or profile_runs
+        is_moving = bool(self._at(122, 1)) or profile_runs or demand_speed != 0
         self._stop_again(is_moving)
         position = self._at(132, 4)
         demand = self._at(_TRAJECTORY + 4, 4) if is_on and self.mode == "position" else position
