@@ -9,8 +9,11 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.emulators.can.frame import (
+    BRS,
     EFF_FLAG,
     ERR_FLAG,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
     RTR_FLAG,
     can_id_of,
     data_of,
@@ -36,6 +39,7 @@ from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
     REQUIRED,
     SettingError,
+    flag,
     number,
     read,
     table,
@@ -45,8 +49,11 @@ from motorhil.settings import (
 )
 
 __all__ = [
+    "BRS",
     "EFF_FLAG",
     "ERR_FLAG",
+    "FD_FRAME_BYTES",
+    "FD_LENGTHS",
     "NEVER_NS",
     "RANGES",
     "REQUIRED",
@@ -63,6 +70,7 @@ __all__ = [
     "can_id_of",
     "controller",
     "data_of",
+    "flag",
     "flags",
     "ns",
     "number",

@@ -45,7 +45,7 @@ UNIT: Final = 1
 REPLY_BY_NS: Final = 50 * MS
 _PAUSES_NS: Final = (0, 0, 1, 300_000, 2 * MS, 5 * MS, 20 * MS)
 _FUNCTIONS: Final = (0x03, 0x03, 0x06, 0x06, 0x10, 0x10, 0x17, 0x08, 0x2B, 0x01, 0x04)
-_VALUES: Final = (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF)
+_VALUES: Final = tuple(one.to_bytes(2) for one in (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF))
 _INPUTS: Final = (
     *(("fault", 0x2310), ("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", 0.0)),
     *(("supply_v", 24.0), ("supply_v", 5.0), ("power", 0.0), ("power", 1.0), ("encoder", 0.0)),
@@ -171,7 +171,7 @@ def pdus(dice: Random, addresses: list[int]) -> Iterator[bytes]:
         function = dice.choice(_FUNCTIONS) if dice.random() < 0.97 else dice.randrange(256)
         address = (dice.choice(addresses) + dice.choice((0, 0, 0, 1))) & 0xFFFF
         count = dice.choice((1, 1, 2, 4, 125))
-        values = b"".join(dice.choice(_VALUES).to_bytes(2, "big") for _ in range(count))
+        values = b"".join(_VALUES[byte & 7] for byte in dice.randbytes(count))
         head = bytes((function,)) + address.to_bytes(2, "big")
         if function == 0x06:
             yield head + values[:2]

@@ -14,10 +14,8 @@ from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
-    DeviceFault,
     LinkError,
     MotionInterrupted,
-    UnsupportedError,
 )
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -79,19 +77,13 @@ class PolledMotor(Motor, Generic[HardwareT]):
         on_close: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
+            on_close=on_close,
         )
         self.hardware: Final = hardware
-        self._on_close = on_close
-
-    def close(self) -> None:
-        """Close the motor; further calls do nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     # --- capabilities ----------------------------------------------------------------------
 
@@ -166,12 +158,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def _read_referenced(self) -> bool:
         return self.hardware.is_referenced
 
-    def _read_position(self) -> float:
-        return self._poll().position
-
-    def _read_velocity(self) -> float:
-        return self._poll().velocity
-
     def _read_reference(self) -> float:
         poll, told = self._poll(), self.hardware.progress
         if poll.state is not MotorState.ENABLED:
@@ -179,10 +165,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
         if told.wanted is Wanted.ARRIVAL and told.target is not None and self._is_near(poll):
             return told.target  # the held target as commanded: rounding must not accumulate
         return poll.demand
-
-    def _read_following_error(self) -> float:
-        poll = self._poll()
-        return poll.demand - poll.position
 
     def _latest(self) -> Measurement | None:
         poll = self.hardware.progress.last
@@ -212,9 +194,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def _raise_fault(self, poll: Poll) -> None:
         fault = poll.fault
         if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
 
     def _home(self, method: int | None) -> None:
         self.hardware.home(method, self.name)
@@ -223,8 +203,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
     # --- motion -----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        if motion.function is not None:
-            raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
         self._apply_parameters()
         self.hardware.prepare(motion, self.model)
         state = self.hardware.progress
@@ -255,9 +233,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
         state.least_ns = state.started_ns + round(least_s * 1e9)
         state.ended_ns = None
         state.poll = None
-
-    def _disarm(self) -> None:
-        """Do nothing, as nothing starts without a trigger."""
 
     def _confirm(self, motion: Motion) -> None:
         self._poll()
