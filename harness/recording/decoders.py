@@ -53,7 +53,8 @@ def description_for(
         decoders.add(one.bus, one.node, _plugin(one))
     plugins = installed(DECODERS)
     for table in facts_of(attachments).settings.values() if plugins else ():
-        bus, node, kind = table.get("bus"), table.get("node_id"), table.get("kind")
+        bus, kind = table.get("bus"), table.get("kind")
+        node = table.get("node_id", table.get("unit"))
         plugin = plugins.get(kind) if isinstance(kind, str) else None
         if plugin is not None and isinstance(bus, str) and isinstance(node, int):
             decoders.add(bus, node, plugin, table)
@@ -189,10 +190,13 @@ class _Decoders:
         nodes[node] = _Decoder(node, plugin, table, label, self._tell)
 
     def __call__(self, bus: str, frame: bytes) -> BusMessage | None:
-        """Return the message in a frame; None if no decoder knows it."""
+        """Return the message in a frame; None if no decoder knows it.
+
+        Every decoder of the bus gets the frame: an answer may be understood by its request only.
+        """
+        found: BusMessage | None = None
         for where in (bus, ""):
             for one in self._by_bus.get(where, {}).values():
                 message = one.message(frame)
-                if message is not None:
-                    return message
-        return None
+                found = message if found is None else found
+        return found

@@ -86,8 +86,9 @@ INTERPRETED = {
 }
 # Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
 FOLDERS = (
-    *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/mit"),
-    *("emulators/modbus", "emulators/moteus", "emulators/oriental_az", "emulators/settings"),
+    *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
+    *("emulators/moteus", "emulators/oriental_az", "emulators/settings"),
+    *("emulators/mit",),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),

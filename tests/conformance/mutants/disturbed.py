@@ -5,7 +5,7 @@ from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
 from motorhil.motorapi.adaptations.canopen.sync import BusSync
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.host_servo.servo import Servo
-from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.runtime.can_link import CanLink, Transmissions
 from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
 from motorhil.motorapi.state import Fault, MotorState
