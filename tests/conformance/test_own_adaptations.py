@@ -26,6 +26,13 @@ _POLLED = frozenset(
         *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
     }
 )
+_STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switch of the supply
+    {
+        *("SET-07", "TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),
+        *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
+        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", *_OF_CANOPEN),
+    }
+)
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
     "ideal": frozenset(
@@ -39,7 +46,9 @@ NOT_APPLICABLE = {
         }
     ),
     "leadshine": _POLLED,
+    "mit": _STREAMED,
     "oriental_az": _POLLED,
+    "robstride": _STREAMED,
     "software": frozenset({"HEAR-05", "LOW-04", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}),
 }
 

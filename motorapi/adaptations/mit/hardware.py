@@ -122,7 +122,7 @@ class MitHwMotor:
         self.mismatch = ""
         self.users = 0
         self._stream: SetpointStream | None = None
-        self._is_asking = False
+        self._is_asking = self._is_checked = False
         self._began_ns = self._deaf_ns = self._polled_ns = 0
         self._moved = self._summed = 0.0
         self._others: set[str] = set()
@@ -156,7 +156,7 @@ class MitHwMotor:
             LinkError: it is not heard, or this object is closed, or the bus is off.
             PeerError: its ranges are others than those of the model.
         """
-        if self.is_up() and not self.mismatch:
+        if self.is_up() and self._is_checked:
             return
         options, frames = self.options, self.frames
         lacks = f"answer of motor {frames.node_id} on identifier {frames.master_id:X}h"
@@ -170,6 +170,7 @@ class MitHwMotor:
             raise LinkError(link=self.label, reason=text) from error
         if frames.maker is Maker.DAMIAO:
             self._check_ranges()
+        self._is_checked = True
         period_s = options.period_ms / 1e3
         can_id, data = frames.command(LIMP)
         answer_id = next(iter(frames.answers()))
@@ -365,7 +366,7 @@ class MitHwMotor:
     def _lose(self) -> None:
         self._end_stream()
         self.plan = None
-        self.is_on = False
+        self.is_on = self.is_zeroed = self._is_checked = False
         self._parameters.clear()
         self.drive.doubt()
 
