@@ -26,6 +26,13 @@ _POLLED = frozenset(
         *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
     }
 )
+_STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switch of the supply
+    {
+        *("SET-07", "TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),
+        *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
+        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", *_OF_CANOPEN),
+    }
+)
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
     "ideal": frozenset(
@@ -48,6 +55,7 @@ NOT_APPLICABLE = {
         }
     ),
     "leadshine": _POLLED,
+    "mit": _STREAMED,
     "moteus": frozenset(
         {
             *("SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04", "STOP-05", "STOP-09"),
@@ -59,6 +67,7 @@ NOT_APPLICABLE = {
         }
     ),
     "oriental_az": _POLLED,
+    "robstride": _STREAMED,
     "software": frozenset({"HEAR-05", "LOW-04", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}),
 }
 
