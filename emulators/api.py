@@ -9,8 +9,11 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.emulators.can.frame import (
+    BRS,
     EFF_FLAG,
     ERR_FLAG,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
     RTR_FLAG,
     can_id_of,
     data_of,
@@ -38,6 +41,7 @@ from motorhil.settings import (
     Number,
     SettingError,
     TablesByKey,
+    flag,
     number,
     read,
     setting,
@@ -48,8 +52,11 @@ from motorhil.settings import (
 )
 
 __all__ = [
+    "BRS",
     "EFF_FLAG",
     "ERR_FLAG",
+    "FD_FRAME_BYTES",
+    "FD_LENGTHS",
     "NEVER_NS",
     "RANGES",
     "REQUIRED",
@@ -68,6 +75,7 @@ __all__ = [
     "can_id_of",
     "controller",
     "data_of",
+    "flag",
     "flags",
     "ns",
     "number",
