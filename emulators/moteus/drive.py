@@ -70,6 +70,7 @@ _FAMILIES: Final = (  # PWM [Hz], voltage [V], current [A], temperature [degC]: 
     (30_000, 54.0, 20.0, 75.0),
     (15_000, 56.0, 120.0, 105.0),
 )
+_LEAST_ACCELERATION: Final = 1e-9  # in place of 0, with which a motion never ends
 _MANY: Final = 1e9
 
 
@@ -335,7 +336,7 @@ class MoteusController:
         if isnan(acceleration):
             acceleration = _or(table.default_accel_limit_rev_s2, inf)
         speed = inf if speed < 0 else speed
-        acceleration = inf if acceleration < 0 else acceleration
+        acceleration = inf if acceleration < 0 else max(acceleration, _LEAST_ACCELERATION)
         if min(speed, acceleration) < inf:
             speed = min(speed, table.max_velocity_rev_s, self._servo.speed_max)
         return speed, acceleration
@@ -353,7 +354,9 @@ class MoteusController:
             start = self._control()
         most = min(speed, servo.speed_max)
         final = max(-most, min(most, given[0x021])) if isfinite(given[0x021]) else 0.0
-        target = given[0x020] if isfinite(given[0x020]) else None
+        target = None
+        if isfinite(given[0x020]):
+            target = max(-_FARTHEST, min(_FARTHEST, given[0x020]))
         self._stop_at = given[0x026]
         self._is_bounded = not given[0x02D]
         self._follow(Trajectory(*start, target, final, speed, acceleration))

@@ -47,6 +47,16 @@ NOT_APPLICABLE = {
     ),
     "leadshine": _POLLED,
     "mit": _STREAMED,
+    "moteus": frozenset(
+        {
+            *("SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04", "STOP-05", "STOP-09"),
+            *("TRAJ-04", "TRAJ-05", "TRAJ-06", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11"),
+            *("TRAJ-12", "TRAJ-13", "LEAD-01", "LEAD-02", "LIM-05"),  # only profiles of position
+            *("HOME-03", "LOW-02", "LOW-03", "LOW-04", "SHARE-02"),
+            *("SHARE-08", "SYNC-06", "SYNC-11", "HEAR-05", "OTHER-01", "LOST-07", "LOST-08"),
+            *_OF_CANOPEN,
+        }
+    ),
     "oriental_az": _POLLED,
     "robstride": _STREAMED,
     "software": frozenset({"HEAR-05", "LOW-04", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}),

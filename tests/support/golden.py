@@ -17,6 +17,7 @@ from motorhil.motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTraject
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.checkout import CHECKOUT
+from tests.support.kit_benches import RIGS
 from tests.support.motors.kinds import EVERY
 
 FOLDER = CHECKOUT / "traces" / "golden"
@@ -78,6 +79,7 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     ),
     "leadshine": ("two PR-mode drives on a serial line", EVERY["leadshine"].rig(), algorithms),
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
+    "moteus": ("two moteus controllers on CAN FD", (RIGS / "moteus.toml").read_text(), algorithms),
     "oriental_az": ("two AZ drivers on a serial line", EVERY["oriental_az"].rig(), algorithms),
 }
 """By name: description, rig, application."""

@@ -9,7 +9,6 @@ until `enable`.
 Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
 
-import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -37,6 +36,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     Shared,
+    UnsupportedError,
     UsageError,
     adaptation,
     checked_node,
@@ -88,11 +88,11 @@ _FAULTS: Final = {
     **{49: "position control error", 50: "velocity control error"},
 }
 _ANSWER_S: Final = 0.2
-_REPEAT_S: Final = 0.02
 _CONNECT_S: Final = 1.0
 _ENOUGH: Final = 2  # replies; that of a command itself shows the state before it
 _WINDOW: Final = 0.1  # of the model's tolerance
 _HOME_OUTPUT: Final = 2
+_HERE: Final = (None, 35, 37)  # homing methods: here
 
 
 class Status(NamedTuple):
@@ -164,7 +164,7 @@ class MoteusHwMotor:
         self._replies = 0  # after that
         self._target: float | None = None
         self._window = 0.0
-        self._sending = threading.Lock()  # a stop comes after the repeated command, or ends it
+        self._last: tuple[Callable[..., SentFrame], bytes] | None = None
         self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime, fd=True)
         self.label: Final = self.drive.label
         self._life = self.drive.expect("reply", self.options.timeout_ms / 1e3, self._lose)
@@ -226,55 +226,52 @@ class MoteusHwMotor:
 
     def move(self, target: float, velocity: float, acceleration: float, window: float) -> None:
         """Begin a motion, which ends within the window [rev, rev/s, rev/s²]."""
-        with self._sending:
-            self._fed = (target, velocity, acceleration)
-            self._follow(target, window, self.drive.command, self._packed(*self._fed))
+        self._fed = (target, velocity, acceleration)
+        self._follow(target, window, self.drive.command, self._packed(*self._fed))
         assert self._sent is not None  # by _follow
         self.drive.confirm(self._sent)
 
     def brake(self, deceleration: float, window: float) -> None:
         """Slow down, then hold; needs no ownership."""
         data = _packed(nan, -1.0, deceleration, nan)
-        with self._sending:
-            self._fed = None
-            is_obeyed = self.status is not None and self.status.mode in (POSITION, *_OTHERS)
-            self.is_over = not is_obeyed  # it rests, or a timeout has stopped it
-            if is_obeyed:
-                self._follow(None, window, self.drive.stop_command, data)
+        self._fed = None
+        is_obeyed = self.status is not None and self.status.mode in (POSITION, *_OTHERS)
+        self.is_over = not is_obeyed  # it rests, or a timeout has stopped it
+        if is_obeyed:
+            self._follow(None, window, self.drive.stop_command, data)
 
-    def obey(self, data: bytes, is_there: Callable[[Status], bool], awaited: str) -> Status:
-        """Send a command until a reply to a later query satisfies `is_there`, and return that.
+    def obey(self, data: bytes, is_there: Callable[[Status], bool], awaited: str) -> None:
+        """Send a command, and wait for a reply to a later query that satisfies `is_there`.
 
         Raises:
             DeadlineExceeded: there was none.
         """
         self._fed, self._target, self.is_over = None, None, True
+        self._last = last = self.drive.command, data
         since: list[SentFrame] = []
-
-        def tell() -> None:
-            if not since:
-                since.append(self._tell(self.drive.command, data))
 
         def is_answered() -> bool:
             status, sent_ns = self.status, since[0].time_ns
-            is_later = (
-                status is not None and sent_ns is not None and self._is_later(status, sent_ns)
-            )
-            return is_later and status is not None and is_there(status)
+            if status is None or sent_ns is None:
+                return False
+            is_later = status.time_ns - sent_ns > self.options.poll_ms * 5e5  # not its own reply
+            return is_later and is_there(status)
 
-        self.drive.exchange(tell, is_answered, _ANSWER_S, awaited, repeat_s=_REPEAT_S)
-        assert self.status is not None  # checked by is_answered
-        return self.status
+        self.drive.exchange(
+            lambda: since.append(self._tell(*last)), is_answered, _ANSWER_S, awaited
+        )
 
-    def _is_later(self, status: Status, sent_ns: int) -> bool:
-        """Return whether a reply shows the state after a command sent then."""
-        return status.time_ns - sent_ns > self.options.poll_ms * 5e5
+    def call_here_zero(self, window: float) -> None:
+        """Make the present position that of the output's zero."""
+        self._fed = None
+        self._follow(None, window, self.drive.command, _OUTPUT_ZERO)
 
     def _follow(
         self, target: float | None, window: float, send: Callable[..., SentFrame], data: bytes
     ) -> None:
         self._target, self._window, self._replies = target, window, 0
         self.is_over = False
+        self._last = send, data
         self._sent = self._tell(send, data)
 
     def _packed(self, target: float, velocity: float, acceleration: float) -> bytes:
@@ -291,20 +288,23 @@ class MoteusHwMotor:
     def _poll(self) -> None:
         if self.drive.status.is_off:
             return
-        with self._sending, suppress(LinkError):
-            fed = self._fed
+        with suppress(LinkError):
+            fed, last = self._fed, self._last
             if fed is None:
                 self._ask(_QUERY)
                 return
             try:
                 if self._has_arrived():  # hold it, from now on without a watchdog
                     self._tell(self.drive.command, _packed(*fed, nan))
-                    self._fed, self.is_over = None, True
-                    self.drive.news.grow()
+                    if self._fed is fed:
+                        self._fed, self.is_over = None, True
+                        self.drive.news.grow()
                 else:
                     self._tell(self.drive.command, self._packed(*fed))
             except MotorBusyError:
                 self._fed = None
+            if last is not self._last and self._last is not None:
+                self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
 
     def _has_arrived(self) -> bool:
         status, target = self.status, self._target
@@ -474,6 +474,12 @@ class MoteusMotor(Motor):
             raise DeviceFault(
                 motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
             )
+
+    def _home(self, method: int | None) -> None:
+        if method not in _HERE:
+            feature = f"homing by method {method}"
+            raise UnsupportedError(motor=self.name, feature=feature, supported="35, 37")
+        self._hardware.call_here_zero(self._window)
 
     def _read_referenced(self) -> bool:
         status = self._hardware.status

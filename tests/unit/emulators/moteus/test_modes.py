@@ -313,6 +313,14 @@ def test_new_command_starts_from_the_control_state():
     assert bench.run(150).read(CONTROL_SPEED)[0] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("target", [nan, 1.0])
+@pytest.mark.parametrize("limit", [{"velocity_limit": 0.0}, {"accel_limit": 0.0}])
+def test_limit_of_zero_keeps_the_motor_at_rest(limit, target):
+    bench = Bench().powered()
+    bench.position(position=target, velocity=1.0, watchdog_timeout=nan, **limit)
+    assert bench.run(500).read(CONTROL)[0] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_repeated_command_changes_nothing():
     one, other = Bench().powered(), Bench().powered()
     command = {"position": 2.0, "velocity_limit": 3.0, "accel_limit": 10.0}
