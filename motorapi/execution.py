@@ -202,7 +202,7 @@ def start_together(
             check()
         if disabled:
             for motor in disabled:
-                motor.hooks.enable()
+                motor.enable()
             _check_not_interrupted(motors, seen)
             motions = plan(motors, common)  # enabling may have changed the reference positions
         started = tuple(

@@ -39,7 +39,7 @@ from motorhil.motorapi.errors import (
     StateError,
     UsageError,
 )
-from motorhil.motorapi.hooks import Hooks
+from motorhil.motorapi.hooks import Hooks, Rest
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.outcome import Ending, Outcome, Progress, ending_of
@@ -56,36 +56,6 @@ _ADOPTION_S: Final = 30.0
 """The timeout for the rest of a motor that was left moving [s]."""
 _COAST_LOOK_S: Final = 0.02
 """The time between two readings of the position of a motor without power [s]."""
-_COAST_STILL_S: Final = 0.05
-"""The time for which the position of a motor without power must be constant [s]."""
-_COAST_SHARE: Final = 1e-3
-"""The velocity up to which a motor without power counts as at rest, as a share of its maximum."""
-
-
-@final
-class _Coast:
-    """The rest of a motor without power, found from its positions.
-
-    Attributes:
-        rests: True if it has come to rest.
-    """
-
-    def __init__(self, model: MotorModel) -> None:
-        self.rests = False
-        still = _COAST_SHARE * model.velocity_max * _COAST_STILL_S
-        self._still: Final = max(still, 2.0 * (model.resolution or 0.0))
-        self._place: float | None = None
-        self._since_ns = self._seen_ns = 0
-
-    def see(self, position: float, now_ns: int) -> bool:
-        """Process a position [U] read at this time. Return `rests`."""
-        if now_ns < self._seen_ns:
-            return self.rests  # heard before the last one that was read
-        self._seen_ns = now_ns
-        if self._place is None or abs(position - self._place) > self._still:
-            self._place, self._since_ns = position, now_ns
-        self.rests = now_ns - self._since_ns >= round(_COAST_STILL_S * 1e9)
-        return self.rests
 
 
 @final
@@ -124,7 +94,7 @@ class LogicalMotor:
         self.asked: Setpoint | Trajectory | None = None
         self.argument: Argument | None = None
         self.run: ActiveMotion | None = None
-        self._coast = _Coast(model)
+        self._coast = Rest(model)
         self._callback_error: PluginError | None = None
         self._held_hardware: tuple[Ticket, object] | None = None
 
@@ -178,12 +148,17 @@ class LogicalMotor:
             status = self.status()
             self.hooks.connect()
             stop()
-            self._coast = _Coast(self.model)
+            self._coast = Rest(self.model)
             self.run = ActiveMotion(
                 f"{operation}() of {self.name}", self, self.runtime.now_ns(), None
             )
             self.physical.begin(self.run, status)
             self.keep()
+
+    def enable(self) -> None:
+        """Switch on the power stage, also after a quick stop."""
+        self.hooks.enable()
+        self.physical.is_quick_stopped = False
 
     def stop(self) -> None:
         """Stop the motor; see `Motor.stop`."""

@@ -74,20 +74,23 @@ class _WithHardware(Protocol[_HardwareT_co]):
 class Motor(MotorHooks):
     """A logical motor: the user's view of one physical motor. Settings stay here until start().
 
-    An adaptation derives from it and implements the hooks; it cannot override public methods.
-
-    Args:
-        name: name in messages and recordings.
-        model: constant properties of the motor, shared between copies.
-        runtime: the runtime in which it waits.
-        physical: the record that `register_physical_motor` returned for its hardware object.
+    An adaptation derives from it and implements the hooks; it cannot override public methods. The
+    arguments are those of `MotorHooks`.
     """
 
     def __init__(
-        self, *, name: str, model: MotorModel, runtime: Runtime, physical: PhysicalMotor
+        self,
+        *,
+        name: str | None,
+        model: MotorModel,
+        runtime: Runtime,
+        physical: PhysicalMotor,
+        on_close: Callable[[], None] | None = None,
     ) -> None:
-        super().__init__(name=name, model=model, runtime=runtime, physical=physical)
-        self.__logical = LogicalMotor(name, model, runtime, physical, Hooks.of(self))
+        super().__init__(
+            name=name, model=model, runtime=runtime, physical=physical, on_close=on_close
+        )
+        self.__logical = LogicalMotor(self.name, model, runtime, physical, Hooks.of(self))
         self.__hooks = self.__logical.hooks
 
     def __init_subclass__(cls) -> None:
@@ -392,7 +395,7 @@ class Motor(MotorHooks):
         """
         with self.__logical.operation("enable"):
             if self.__logical.require_no_fault() is not MotorState.ENABLED:
-                self.__hooks.enable()
+                self.__logical.enable()
 
     @final
     def disable(self) -> None:
@@ -441,7 +444,7 @@ class Motor(MotorHooks):
         with self.__logical.operation("home"):
             self.__logical.require_rest("home")
             if self.__logical.require_no_fault() is not MotorState.ENABLED:
-                self.__hooks.enable()
+                self.__logical.enable()
             self.__logical.begin("home", None)
             try:
                 self.__hooks.home(method)

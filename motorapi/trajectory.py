@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Protocol, TypeAlias, final
 
-from motorhil.motorapi.commands import DerivativeLimits, Range, as_number
+from motorhil.motorapi.commands import ControlVariable, DerivativeLimits, Range, as_number
 from motorhil.motorapi.errors import LinkError, MotorError, PluginError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.state import Measurement, MotorState
@@ -366,3 +366,12 @@ class MotorPosition:
 
     def __repr__(self) -> str:
         return f"<the {self._name}>"
+
+
+def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajectory) -> bool:
+    """Return True if its limits exceed those of a position trapezoid, or of a ramp."""
+    limits = trajectory.limits
+    if limits is None:
+        return False
+    highest = limits.third if variable is ControlVariable.POSITION else limits.second
+    return highest is not None

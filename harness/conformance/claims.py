@@ -17,7 +17,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
-from motorhil.motorapi.hooks import MotorHooks
+from motorhil.motorapi.hooks import implements
 
 _MODES: Final = {
     Capability.POSITION_SET_POINT: (ControlMode.SETPOINT, ControlVariable.POSITION),
@@ -30,7 +30,12 @@ _MODES: Final = {
 }
 _SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
 """Capabilities whose check imports numpy, which takes longer than the first verdicts."""
-_OPEN: Final = "_open_low_level"
+_HOOKS: Final = {
+    Capability.LOW_LEVEL: ("_open_low_level",),
+    Capability.HOMING: ("_home",),
+    Capability.FAULTS: ("_read_fault", "_reset_fault"),
+}
+"""The hooks that make a capability, and claim it where an adaptation implements them."""
 _READINGS: Final = {
     Capability.MEASURED_TORQUE: Motor.torque,
     Capability.MEASURED_FOLLOWING_ERROR: Motor.following_error,
@@ -88,8 +93,8 @@ def _claims(motor: Motor, capability: Capability) -> bool:
         return _accepts(motor, variable, Setpoint(0.0, variable is ControlVariable.POSITION))
     if capability in _READINGS:
         return _reads(_READINGS[capability], motor)
-    if capability is Capability.LOW_LEVEL:
-        return getattr(type(motor), _OPEN) is not getattr(MotorHooks, _OPEN)
+    if capability in _HOOKS:
+        return all(implements(motor, hook) for hook in _HOOKS[capability])
     if capability is Capability.COMMON_TRIGGER:
         return motor.logical.hooks.sync_offer().level >= SyncLevel.TRIGGERED
     if capability is Capability.COMPLEX_POSITION:
@@ -98,7 +103,7 @@ def _claims(motor: Motor, capability: Capability) -> bool:
         return _takes_functions(motor, ControlVariable.VELOCITY)
     if capability is Capability.LIMITED_SET_POINT:
         return _takes_limits(motor)
-    return True  # faults, and what only the rig can know: claimed unless it is in `without`
+    return True  # what only the rig can know: claimed unless it is in `without`
 
 
 def _reads(read: Callable[[Motor], float], motor: Motor) -> bool:

@@ -29,14 +29,18 @@ from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.fencing import BoundFence
-from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 from motorhil.motorapi.runtime.api import Runtime, wait_until
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
-from motorhil.motorapi.trajectory import ComplexTrajectory, Trajectory, TrapezoidalTrajectory
+from motorhil.motorapi.trajectory import (
+    ComplexTrajectory,
+    Trajectory,
+    TrapezoidalTrajectory,
+    asks_for_smoothness,
+)
 from motorhil.settings import REQUIRED, number, text, whole
 
 __all__ = [

@@ -155,6 +155,7 @@ class CanDrive:
             bus, node, self.label, owner, lock
         )
         self.physical.news = self.news
+        self.physical.check_heard = self.check
         self._owner: Final = owner
         self._fence: Final = (
             None
@@ -187,12 +188,23 @@ class CanDrive:
 
     # --- receiving ---------------------------------------------------------------------------
 
-    def handle(self, can_id: int, handler: DataHandler) -> None:
+    def handle(self, can_id: int, handler: DataHandler, *, is_news: bool = True) -> None:
         """Pass received data frames with this identifier to `handler`, in place of any other.
 
         Register commands to the drive as well: they are then those of other programs.
+
+        Args:
+            can_id: the identifier.
+            handler: called in a callback; it must not wait.
+            is_news: each of these frames may end a motion, and is counted in `news`; False: the
+                handler counts those that may.
         """
-        self._handlers[can_id | self._flag] = handler
+
+        def counted(data: bytes, time_ns: int) -> None:
+            handler(data, time_ns)
+            self.news.grow()
+
+        self._handlers[can_id | self._flag] = counted if is_news else handler
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
         """Run `action` every `period_s` [s] until `close`; it must not wait."""

@@ -26,19 +26,21 @@ between.
 import itertools
 import threading
 import weakref
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
 from enum import Enum
+from math import isfinite
 from typing import Final, Protocol, final
 
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import MotorBusyError, MotorError, UsageError
+from motorhil.motorapi.errors import LinkError, MotorBusyError, MotorError, UsageError
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.ownership.ownership import Ownership
 from motorhil.motorapi.ownership.queue import LOW_LEVEL, FifoQueue, Ticket
 from motorhil.motorapi.runtime.api import ChangeCounter, Runtime, wait_until
+from motorhil.motorapi.state import Measurement, MotorState
 
 _NO_STOP: Final = (
     "a stop is refused as well, so that its holder is alone with the hardware; the holder can stop"
@@ -161,6 +163,10 @@ class PhysicalMotor:
         It calls `grow` where a motion may have ended with the change; the hook is then called only
         after a change. None: the hook is called after every event, and periodically for callbacks.
         """
+        self.check_heard: Callable[[], None] | None = None
+        """Raises LinkError if the motor cannot be heard now; None: its hardware does not know."""
+        self.is_quick_stopped: bool = False
+        """True from a quick stop that only this record knows until the motor is enabled again."""
         self.access: Ticket | None = None
         """The ticket of low-level access, or None."""
         self._own_news = ChangeCounter()
@@ -175,6 +181,30 @@ class PhysicalMotor:
         if self.access is not None:
             doing = f"held by {self.access.who} for {LOW_LEVEL}"
         return f"<PhysicalMotor {self.label}: {doing}>"
+
+    def seen(self, latest: Measurement | None) -> Measurement | None:
+        """Return a measurement with the state as this record knows it: OFFLINE or STOPPED."""
+        if latest is None:
+            return None
+        if self.is_quick_stopped and latest.state is MotorState.ENABLED:
+            latest = latest._replace(state=MotorState.STOPPED)
+        if self.check_heard is not None:
+            try:
+                self.check_heard()
+            except LinkError:
+                return latest._replace(state=MotorState.OFFLINE)
+        return latest
+
+    def stop_deceleration(self, of_model: float) -> float:
+        """Return the deceleration of a stop now [U/s²]: that of the motion, else of the model."""
+        motion = None if self.run is None else self.run.motion
+        if motion is None or motion.variable not in (
+            ControlVariable.POSITION,
+            ControlVariable.VELOCITY,
+        ):
+            return of_model
+        size = motion.stop_deceleration or motion.deceleration
+        return size if isfinite(size) else of_model
 
     @property
     def bell(self) -> ChangeCounter:

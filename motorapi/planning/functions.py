@@ -230,15 +230,6 @@ def _check_ends(motor: str, model: MotorModel, trajectory: ComplexTrajectory) ->
             )
 
 
-def asks_for_smoothness(variable: ControlVariable, trajectory: TrapezoidalTrajectory) -> bool:
-    """Return True if its limits exceed those of a position trapezoid, or of a ramp."""
-    limits = trajectory.limits
-    if limits is None:
-        return False
-    highest = limits.third if variable is ControlVariable.POSITION else limits.second
-    return highest is not None
-
-
 def model_of_profile(model: MotorModel, *, limits_jerk: bool) -> MotorModel:
     """Return the model for planning: its jerk limit applies only if the motor `limits_jerk`."""
     if limits_jerk or model.jerk_max is None:

@@ -26,14 +26,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 from motorhil.motorapi.api import (
     REQUIRED,
     CanDrive,
-    ControlMode,
-    ControlVariable,
     DeviceFault,
     Fault,
     LinkError,
     Measurement,
     Motion,
-    MotionInterrupted,
     MotionKind,
     Motor,
     MotorModel,
@@ -42,17 +39,9 @@ from motorhil.motorapi.api import (
     PeerError,
     PeriodicMessage,
     SentFrame,
-    Setpoint,
     Shared,
-    SyncLevel,
-    SyncOffer,
-    Trajectory,
-    TrapezoidalTrajectory,
-    Trigger,
-    UnsupportedError,
     UsageError,
     adaptation,
-    asks_for_smoothness,
     checked_node,
     number,
     read_settings,
@@ -73,6 +62,7 @@ _COMMAND: Final = Struct("<BBxxi")
 _SPEED: Final = Struct("<I")
 _RAMPS: Final = Struct("<II")
 OFF, ON, FAULT = 0, 1, 2
+_STATES: Final = (MotorState.DISABLED, MotorState.ENABLED, MotorState.FAULT)
 SWITCH_OFF, SWITCH_ON, MOVE, STOP, CLEAR = range(5)
 NODE_ID_MAX: Final = 0x3F
 STEPS: Final = 65536  # per turn of the motor
@@ -128,8 +118,6 @@ class MydriveHwMotor:
         drive: its connection.
         status, estimate: the last ones received, or None.
         told: the number of the last command sent, or None.
-        target: the last commanded position [steps]; None: not known.
-        stopped: whether a quick stop was the last command.
         users: the number of motors built on it from settings; the last one closes it.
     """
 
@@ -146,14 +134,14 @@ class MydriveHwMotor:
         self.status: Status | None = None
         self.estimate: Estimate | None = None
         self.told: int | None = None
-        self.target: int | None = None
-        self.stopped = False
         self.users = 0
         self._fault_since_ns = 0
         self._feeds = False  # whether this program was the last to command the drive
         self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime)
         self.label: Final = self.drive.label
-        self._life = self.drive.expect("status", self.options.timeout_ms / 1e3, self._forget)
+        timeout_s = self.options.timeout_ms / 1e3
+        self._statuses = self.drive.expect("status", timeout_s, self._forget)
+        self._estimates = self.drive.expect("estimate", timeout_s)
         # 2. What the drive sends, and what other programs send to it.
         self.drive.handle(STATUS + node_id, self._on_status)
         self.drive.handle(ESTIMATE + node_id, self._on_estimate)
@@ -175,7 +163,7 @@ class MydriveHwMotor:
         Raises:
             LinkError: it is not heard, or this object is closed, or the bus is off.
         """
-        if self.is_up() and not self.drive.is_lost:
+        if self.is_up():
             return
         self.drive.connect(self.is_up, lambda: None, _CONNECT_S, "status and estimate")
         self.drive.note_traffic(
@@ -188,8 +176,7 @@ class MydriveHwMotor:
 
     def is_up(self) -> bool:
         """Return whether all is known that commands need."""
-        known = self.status is not None and self.estimate is not None
-        return known and self._life.lost_since_ns is None
+        return self.status is not None and self.estimate is not None and not self.drive.is_lost
 
     def is_settled(self) -> bool:
         """Return whether the drive has taken the last command, and does not move."""
@@ -232,7 +219,7 @@ class MydriveHwMotor:
         self.drive.stop_command(RAMPS + self.node_id, data)
         self.drive.remember(RAMPS, data)
 
-    def obey(self, code: int, is_there: Callable[[Status], bool], target: int = 0) -> Status:
+    def obey(self, code: int, is_there: Callable[[Status], bool]) -> Status:
         """Send a command, and return the first status after it that satisfies `is_there`.
 
         Raises:
@@ -244,14 +231,13 @@ class MydriveHwMotor:
             return status is not None and status.number == self.told and is_there(status)
 
         awaited = f"a status after command {code}"
-        self.drive.exchange(lambda: self.tell(code, target), is_answered, _ANSWER_S, awaited)
+        self.drive.exchange(lambda: self.tell(code), is_answered, _ANSWER_S, awaited)
         assert self.status is not None  # checked by is_answered
         return self.status
 
     def _next(self, code: int, target: int) -> bytes:
         last = self.told if self.told is not None else self.status.number if self.status else 0
         self.told = (last + 1) & 0xFF
-        self.target = target if code == MOVE else None
         self._feeds = True
         return _COMMAND.pack(code, self.told, target)
 
@@ -263,13 +249,13 @@ class MydriveHwMotor:
         self.status = Status(state, told, bool(is_moving), fault, time_ns)
         if state == FAULT and (before is None or before.state != FAULT):
             self._fault_since_ns = time_ns
-        if self._life.came(time_ns) or before is None or before[:4] != self.status[:4]:
-            self.drive.news.grow()
+        self._statuses.came(time_ns)
 
     def _on_estimate(self, data: bytes, time_ns: int) -> None:
         if len(data) == _ESTIMATE.size:
             position, velocity = _ESTIMATE.unpack(data)
             self.estimate = Estimate(position, velocity, time_ns)
+            self._estimates.came(time_ns)
 
     def _on_foreign_command(self, data: bytes, time_ns: int) -> None:
         self._forget()
@@ -282,21 +268,8 @@ class MydriveHwMotor:
 
     def _forget(self) -> None:
         self._feeds = False
-        self.told = self.target = None
+        self.told = None
         self.drive.doubt()
-
-
-@final
-class Start:
-    """The trigger of one motion: the frame that starts it."""
-
-    def __init__(self, hardware: MydriveHwMotor, target: int) -> None:
-        self._hardware = hardware
-        self._target = target
-
-    def fire(self) -> None:
-        """Start the motion; return when its frame is on the bus."""
-        self._hardware.drive.confirm(self._hardware.tell(MOVE, self._target))
 
 
 @final
@@ -311,49 +284,59 @@ class MydriveMotor(Motor):
         name: str | None = None,
         on_close: Callable[[], None] | None = None,
     ) -> None:
+        drive = hardware.drive
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
-            runtime=hardware.drive.runtime,
-            physical=hardware.drive.physical,
+            runtime=drive.runtime,
+            physical=drive.physical,
+            on_close=on_close,
         )
         if model.gear_ratio is None:
             raise UsageError(f"motor model {model.name}: gear_ratio is missing; give it")
         self._hardware = hardware
-        self._on_close = on_close
-        self._armed = False
         # 4. Units: steps of the drive per rad (or m) of the output, signed.
         self._steps: Final = (
             STEPS * model.gear_ratio / (tau if model.kind is MotionKind.ROTARY else 1.0)
         )
 
-    def close(self) -> None:
-        """Close the motor; closing again does nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
+    # 5. The six that make a motor.
 
-    # 5. What the drive can do. What is not claimed here, the kit does not ask for.
+    def _connect(self) -> None:
+        self._hardware.connect()
 
-    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
-        return variable is ControlVariable.POSITION
+    def _latest(self) -> Measurement | None:
+        status, estimate = self._hardware.status, self._hardware.estimate
+        if status is None or estimate is None:
+            return None
+        position, velocity = estimate.position / self._steps, estimate.velocity / self._steps
+        return Measurement(estimate.time_ns, _STATES[status.state], position, velocity)
 
-    def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
-        super()._check_command(variable, command)
-        if isinstance(command, TrapezoidalTrajectory) and asks_for_smoothness(variable, command):
-            feature = "a trajectory with limited jerk"
-            raise UnsupportedError(motor=self.name, feature=feature, supported="trapezoids")
+    def _enable(self) -> None:
+        status = self._hardware.obey(SWITCH_ON, lambda status: status.state != OFF)
+        self._check_fault()
+        if status.state != ON:
+            raise PeerError(f"{self.name}: the drive does not switch on (state {status.state})")
 
-    def _sync_offer(self) -> SyncOffer:
-        return SyncOffer(
-            SyncLevel.SEQUENTIAL,
-            self._hardware.label,
-            None,
-            "the drive has no signal that starts several: each has a frame of its own",
-            no_firing_bound="no bound is known for that frame",
-            no_start_bound="the drive's own cycle is not known",
-            no_end_bound="the drive's own clock is not known",
+    def _disable(self) -> None:
+        self._hardware.obey(SWITCH_OFF, lambda status: status.state != ON)
+
+    def _command(self, motion: Motion) -> None:
+        size = abs(self._steps)
+        self._hardware.set_limits(
+            round(motion.velocity * size),
+            round(motion.acceleration * size),
+            round(motion.deceleration * size),
         )
+        target = round(motion.target * self._steps)
+        self._hardware.drive.confirm(self._hardware.tell(MOVE, target))
+
+    def _stop(self) -> None:
+        size = self._physical.stop_deceleration(self.model.deceleration)
+        self._hardware.set_ramp_to_stop(max(1, round(size * abs(self._steps))))
+        self._hardware.tell_anyway(STOP)
+
+    # 6. Capabilities. What is not here, the kit does not ask for.
 
     def _quantise(self, motion: Motion) -> Motion:
         size = abs(self._steps)
@@ -369,64 +352,8 @@ class MydriveMotor(Motor):
             deceleration=down(motion.deceleration),
         )
 
-    # 6. State and measurements.
-
-    def _connect(self) -> None:
-        self._hardware.connect()
-
-    def _read_state(self) -> MotorState:
-        hardware = self._hardware
-        status = hardware.status
-        if status is None or hardware.drive.is_lost:
-            return MotorState.OFFLINE
-        if status.state == FAULT:
-            return MotorState.FAULT
-        if status.state == OFF:
-            return MotorState.DISABLED
-        return MotorState.STOPPED if hardware.stopped else MotorState.ENABLED
-
     def _read_fault(self) -> Fault | None:
         return self._hardware.fault()
-
-    def _read_referenced(self) -> bool:
-        return False  # the drive has an absolute encoder, or homing: tell it here
-
-    def _read_position(self) -> float:
-        self._hardware.drive.check()
-        assert self._hardware.estimate is not None  # after _connect
-        return self._hardware.estimate.position / self._steps
-
-    def _read_velocity(self) -> float:
-        self._hardware.drive.check()
-        assert self._hardware.estimate is not None
-        return self._hardware.estimate.velocity / self._steps
-
-    def _read_reference(self) -> float:
-        hardware = self._hardware
-        is_on = hardware.status is not None and hardware.status.state == ON
-        if hardware.target is None or not is_on or not hardware.is_settled():
-            return self._read_position()
-        return hardware.target / self._steps
-
-    def _latest(self) -> Measurement | None:
-        estimate = self._hardware.estimate
-        if estimate is None:
-            return None
-        position, velocity = estimate.position / self._steps, estimate.velocity / self._steps
-        return Measurement(estimate.time_ns, self._read_state(), position, velocity)
-
-    # 7. Power and faults.
-
-    def _enable(self) -> None:
-        status = self._hardware.obey(SWITCH_ON, lambda status: status.state != OFF)
-        self._check_fault()
-        if status.state != ON:
-            raise PeerError(f"{self.name}: the drive does not switch on (state {status.state})")
-        self._hardware.stopped = False
-
-    def _disable(self) -> None:
-        self._hardware.obey(SWITCH_OFF, lambda status: status.state != ON)
-        self._hardware.stopped = False
 
     def _reset_fault(self) -> None:
         self._hardware.obey(CLEAR, lambda status: True)
@@ -439,65 +366,7 @@ class MydriveMotor(Motor):
                 motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
             )
 
-    def _home(self, method: int | None) -> None:
-        raise UnsupportedError(motor=self.name, feature="homing")
-
-    # 8. Motion: prepare, start, confirm, end, stop.
-
-    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        size = abs(self._steps)
-        self._hardware.set_limits(
-            round(motion.velocity * size),
-            round(motion.acceleration * size),
-            round(motion.deceleration * size),
-        )
-        self._armed = True
-        return Start(self._hardware, round(motion.target * self._steps))
-
-    def _disarm(self) -> None:
-        self._armed = False
-
-    def _confirm(self, motion: Motion) -> None:
-        hardware = self._hardware
-        awaited = "the number of the motion's command in a status"
-
-        def is_taken() -> bool:
-            status = hardware.status
-            return status is not None and (status.number == hardware.told or status.state == FAULT)
-
-        hardware.drive.exchange(lambda: None, is_taken, _ANSWER_S, awaited)
-        self._armed = False
-
-    def _is_done(self) -> bool:
-        hardware = self._hardware
-        hardware.drive.check()
-        self._check_fault()
-        status = hardware.status
-        if status is None or self._armed:
-            return False
-        if status.state != ON and status.number == hardware.told and hardware.target is not None:
-            raise MotionInterrupted(motor=self.name, by="the drive, now off", at_ns=status.time_ns)
-        return hardware.is_settled()
-
-    def _stop(self) -> None:
-        run = self._physical.run
-        motion = None if run is None else run.motion
-        size = self.model.deceleration
-        if motion is not None:
-            size = motion.stop_deceleration or motion.deceleration
-        self._brake(size)
-
-    def _quick_stop(self) -> None:
-        status = self._hardware.status
-        self._hardware.stopped = status is not None and status.state == ON
-        self._brake(self.model.deceleration)
-
-    def _brake(self, deceleration: float) -> None:
-        self._armed = False
-        self._hardware.set_ramp_to_stop(max(1, round(deceleration * abs(self._steps))))
-        self._hardware.tell_anyway(STOP)
-
-    # 9. The hardware itself, for applications that need more than a motor.
+    # 7. The hardware itself, for applications that need more than a motor.
 
     def _open_low_level(self) -> MydriveHwMotor:
         return self._hardware

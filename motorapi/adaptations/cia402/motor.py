@@ -62,7 +62,6 @@ from motorhil.motorapi.errors import (
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
-from motorhil.motorapi.planning.functions import asks_for_smoothness
 from motorhil.motorapi.runtime.api import Registration
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
@@ -71,6 +70,7 @@ from motorhil.motorapi.trajectory import (
     ComplexTrajectory,
     Trajectory,
     TrapezoidalTrajectory,
+    asks_for_smoothness,
     has_moving_ends,
 )
 
