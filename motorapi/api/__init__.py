@@ -25,6 +25,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.generation import ProfileLimits, trapezoid
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -68,6 +69,7 @@ __all__ = [
     "Options",
     "PeerError",
     "PeriodicMessage",
+    "ProfileLimits",
     "Ramps",
     "Runtime",
     "SentFrame",
@@ -90,6 +92,7 @@ __all__ = [
     "number",
     "read_settings",
     "text",
+    "trapezoid",
     "wait_until",
     "whole",
 ]
