@@ -398,6 +398,13 @@ class VescHwMotor:
         if self._offset is None:
             self._offset = turns - angle - span * round((turns - angle) / span)
         position = angle + span * round((turns - self._offset - angle) / span)
+        before = self.estimate
+        if before is not None:
+            possible = abs(self._velocity) + abs(before.velocity)
+            possible *= (time_ns - before.time_ns) / 1e9
+            if abs(position - before.position) > _FOLLOW_MAX * span + possible:
+                self._lose()  # the drive has restarted, and its tachometer too
+                return
         self.estimate = Estimate(position, self._velocity, time_ns)
         self._check_following(position)
 
