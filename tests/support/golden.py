@@ -17,7 +17,7 @@ from motorhil.motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTraject
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.checkout import CHECKOUT
-from tests.support.motors.kinds import EVERY
+from tests.support.motors.kinds import BUS, EVERY, GROUP, MODEL
 
 FOLDER = CHECKOUT / "traces" / "golden"
 INDEX = FOLDER / "INDEX.md"
@@ -68,6 +68,21 @@ def on_tcp(text: str) -> str:
     return text.replace(line, 'kind = "modbus_tcp"')
 
 
+def vescs() -> str:
+    """Return two VESCs whose status frames are on."""
+    text = BUS
+    for number, name in enumerate(("left", "right"), 1):
+        span = "position_divider = 8.0\nerpm_min = 10.0\n"
+        text += (
+            f'[controller.{name}]\nkind = "vesc"\nbus = "can0"\nnode_id = {number}\n{span}'
+            "status_1 = 25\nstatus_rate_1_hz = 100\nposition_kp = 0.2\nposition_kd = 0.0028\n"
+            'plant = { preset = "wheel_60w" }\n'
+            f'[motor.{name}]\nadaptation = "vesc"\ncontroller = "{name}"\n{span}'
+            f"[motor.{name}.model]\n{MODEL}"
+        )
+    return text + GROUP
+
+
 GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     "cia402": ("two CiA 402 drives", EVERY["cia402"].rig(), algorithms),
     "overload": ("a CiA 402 drive that loses its position", EVERY["cia402"].rig(), overload),
@@ -78,6 +93,7 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     ),
     "leadshine": ("two PR-mode drives on a serial line", EVERY["leadshine"].rig(), algorithms),
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
+    "vesc": ("two VESCs", vescs(), algorithms),
     "oriental_az": ("two AZ drivers on a serial line", EVERY["oriental_az"].rig(), algorithms),
 }
 """By name: description, rig, application."""
