@@ -87,7 +87,7 @@ INTERPRETED = {
 # Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
 FOLDERS = (
     *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
-    *("emulators/oriental_az", "emulators/settings", "emulators/vesc"),
+    *("emulators/oriental_az", "emulators/rmd", "emulators/settings", "emulators/vesc"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
