@@ -15,7 +15,7 @@ Source: MyActuator, Servo Motor Control Protocol V4.2 (2024-05).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from struct import Struct
 from typing import Any, Final, final
 
@@ -124,6 +124,10 @@ class RmdController:
         self._watches: Final[bool] = plant.extras.is_any()
         self._axis.set_windows(
             following_window_inc=round(settings.stall_deg * self._inc_deg), following_window_ns=0
+        )
+        self._profiled: Final = motor.gains
+        self._direct: Final = replace(
+            motor.gains, velocity_feedforward=0.0, acceleration_feedforward_a_s2_inc=0.0
         )
         gains = {index: Struct("<f").pack(1.0) for index in _GAINS}
         accelerations = [settings.acceleration_dps_s] * 4
@@ -343,6 +347,7 @@ class RmdController:
             self._mode = SPEED
             faster, slower = (self._ramp(index) for index in (2, 3))
             wanted = _LAST.unpack(request)[0] / 100 * self._inc_deg
+            self._axis.set_gains(self._profiled)
             self._axis.run_at(wanted, faster, slower)
         return self._status_2(request)
 
@@ -379,7 +384,9 @@ class RmdController:
         self._mode = POSITION
         inc = round(target / 100 * self._inc_deg + self._offset / self._pulses) + self._lost
         speed = dps * self._inc_deg if dps else _AT_ONCE
-        if self._rom.acceleration[0]:
+        is_direct = not self._rom.acceleration[0]
+        self._axis.set_gains(self._direct if is_direct else self._profiled)
+        if not is_direct:
             self._axis.move_to(inc, min(speed, 1e12), self._ramp(0), self._ramp(1))
         else:
             self._axis.follow(inc, 0, speed_max_inc_s=speed)

@@ -12,6 +12,7 @@ from motorhil.motorapi.api.can_drive import CanDrive, SentFrame, SignOfLife, che
 from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
+from motorhil.motorapi.api.streamed_motion import StreamedMotion
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -25,7 +26,6 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
-from motorhil.motorapi.generation import ProfileLimits, trapezoid
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
@@ -69,7 +69,6 @@ __all__ = [
     "Options",
     "PeerError",
     "PeriodicMessage",
-    "ProfileLimits",
     "Ramps",
     "Runtime",
     "SentFrame",
@@ -78,6 +77,7 @@ __all__ = [
     "Shared",
     "SignOfLife",
     "StateError",
+    "StreamedMotion",
     "SyncLevel",
     "SyncOffer",
     "Trajectory",
@@ -92,7 +92,6 @@ __all__ = [
     "number",
     "read_settings",
     "text",
-    "trapezoid",
     "wait_until",
     "whole",
 ]

@@ -33,7 +33,7 @@ from motorhil.motorapi.api import (
     PeerError,
     PeriodicMessage,
     SentFrame,
-    SetpointStream,
+    StreamedMotion,
     UsageError,
     checked_node,
     number,
@@ -80,7 +80,6 @@ _FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is
 _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
 _BOOTED_NS: Final = 1_000_000_000
-_STEP_S: Final = 1e-4  # over which a rate is found
 
 
 class Mode(IntEnum):
@@ -136,11 +135,10 @@ class VescHwMotor:
 
     Attributes:
         drive: its connection.
-        mode: the last mode commanded by this program; None: released, or not known.
+        motions: the motion that is streamed to it.
         held: the last position sent [turns]; None: positions are not controlled.
         estimate: the last measurement, or None.
         fault: the fault that the drive reported last, or FOLLOWING_ERROR; until `reset_fault`.
-        stream: the last streamed set-points, or None.
         users: the number of motors built on it from settings; the last one closes it.
 
     Raises:
@@ -164,14 +162,9 @@ class VescHwMotor:
                 f"host_id = {self._host_id} for node_id {node_id}: not usable; expected a free id"
                 f" of 0 to {NODE_ID_MAX}; give host_id"
             )
-        self.mode: Mode | None = None
         self.held: float | None = None
         self.estimate: Estimate | None = None
         self.fault: Fault | None = None
-        self.stream: SetpointStream | None = None
-        self._demand: Callable[[float], float] = float
-        self._began_ns = 0
-        self._duration_s = 0.0
         self.users = 0
         self.reports = 0  # answers about the fault
         self._reported = 0
@@ -185,6 +178,10 @@ class VescHwMotor:
         self._feeds = False  # whether this program was the last to command the drive
         self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime, extended=True)
         self.label: Final = self.drive.label
+        own = self.options
+        self.motions: Final = StreamedMotion(
+            self.drive, own.stream_period_ms / 1e3, own.lead_ms / 1e3
+        )
         self._life = self.drive.expect("STATUS", self.options.status_timeout_ms / 1e3, self._lose)
         self._answers = self.drive.expect("answer to GET_VALUES_SELECTIVE", _SILENCE_S)
         handlers: dict[int, Callable[[bytes, int], None]] = {
@@ -210,8 +207,8 @@ class VescHwMotor:
 
     def close(self) -> None:
         """Stop sending and receiving; the drive's timeout then releases the motor."""
-        self.drive.close(at_rest=self.stream is None or not self.stream.is_going)
-        self.end_stream()
+        self.drive.close(at_rest=not self.motions.is_going)
+        self.motions.forget()
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its firmware; free if this is known.
@@ -258,66 +255,30 @@ class VescHwMotor:
             MotorBusyError: another user owns the motor, or has low-level access.
         """
         sent = self.drive.command(mode << 8 | self.node_id, self._encoded(mode, value), fence=fence)
-        self.mode, self._feeds = mode, True
+        self._feeds = True
         self.held = value if mode is Mode.POSITION else None
         return sent
 
     def release(self) -> SentFrame:
         """Release the motor, which then coasts."""
-        self.end_stream()
-        sent = self.tell(Mode.CURRENT, 0.0)
-        self.mode = None
-        return sent
-
-    def follow(
-        self, mode: Mode, value: Callable[[float], float], duration_s: float, lead_s: float = 0.0
-    ) -> SentFrame:
-        """Stream a value over the time since now [s], up to its end; return the first frame."""
-        self.end_stream()
-        self._demand, self._began_ns = value, self.drive.runtime.now_ns()
-        self._duration_s = duration_s
-        self.stream = SetpointStream(
-            self.drive,
-            lambda at_s: value(min(at_s + lead_s, duration_s)),
-            duration_s,
-            self.options.stream_period_ms / 1e3,
-            partial(self.tell, mode),
-            lambda _: None,
-        )
-        return self.stream.begin()
-
-    def now(self, mode: Mode) -> tuple[float, float]:
-        """Return the demand and its rate now if it is of this mode, else those measured.
-
-        The rate of anything but a position is 0.
-        """
-        now_ns, stream, last = self.drive.runtime.now_ns(), self.stream, self.estimate
-        assert last is not None  # connected before
-        if mode is not Mode.POSITION:
-            if self.mode is mode and stream is not None and stream.last is not None:
-                return stream.last, 0.0
-            return (last.velocity if mode is Mode.SPEED else 0.0), 0.0
-        if self.held is None:
-            return last.position + last.velocity * (now_ns - last.time_ns) / 1e9, last.velocity
-        if stream is None or not stream.is_going:
-            return self.held, 0.0
-        at_s = (now_ns - self._began_ns) / 1e9
-        rate = (self._demand(at_s + _STEP_S) - self._demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
-        return self._demand(at_s), rate
-
-    def since_end_s(self) -> float:
-        """Return the time since the end of the last stream [s]; below 0 before it."""
-        return (self.drive.runtime.now_ns() - self._began_ns) / 1e9 - self._duration_s
+        self.motions.forget()
+        return self.tell(Mode.CURRENT, 0.0)
 
     def brake_anyway(self) -> SentFrame:
         """Brake, whoever owns the motor."""
         data = self._encoded(Mode.BRAKE, self.options.brake_current_a)
         return self.drive.stop_command(Mode.BRAKE << 8 | self.node_id, data)
 
-    def end_stream(self) -> None:
-        """End the stream of set-points."""
-        if self.stream is not None:
-            self.stream.cancel()
+    def sender(self, mode: Mode) -> "Callable[[float, BoundFence | None], SentFrame]":
+        """Return a function that sends a value in this mode, for `motions`."""
+        return partial(self.tell, mode)
+
+    def measured(self) -> tuple[float, float]:
+        """Return position and velocity now [turns, turns/s], extrapolated to the present."""
+        last = self.estimate
+        assert last is not None  # connected before
+        age_s = (self.drive.runtime.now_ns() - last.time_ns) / 1e9
+        return last.position + last.velocity * age_s, last.velocity
 
     def scale(self, mode: Mode) -> float:
         """Return the number of a command for 1 of its value."""
@@ -422,8 +383,8 @@ class VescHwMotor:
 
     def _raise_fault(self, code: int, problem: str) -> None:
         self.fault = Fault(code, problem, self.drive.runtime.now_ns())
-        self.end_stream()
-        self.mode = self.held = None
+        self.motions.forget()
+        self.held = None
 
     def _on_boot(self, data: bytes, time_ns: int) -> None:
         """Note a restart; the notice of a start comes half a second after the first frames."""
@@ -465,9 +426,9 @@ class VescHwMotor:
 
     def forget(self) -> None:
         """Forget what the drive was told: another program commands it, or it was lost."""
-        self.end_stream()
+        self.motions.forget()
         self._feeds = False
-        self.mode = self.held = None
+        self.held = None
         self.drive.doubt()
 
     def _lose(self) -> None:

@@ -30,15 +30,11 @@ from motorhil.motorapi.api import (
     MotorBusyError,
     MotorModel,
     MotorState,
-    ProfileLimits,
-    Ramps,
     Shared,
     UsageError,
     adaptation,
-    demand_of,
     read_settings,
     text,
-    trapezoid,
     whole,
 )
 
@@ -121,7 +117,8 @@ class VescMotor(Motor):
         hardware, last = self._hardware, self._hardware.estimate
         if last is None:
             return None
-        state = MotorState.DISABLED if hardware.mode is None else MotorState.ENABLED
+        is_off = hardware.motions.variable is None
+        state = MotorState.DISABLED if is_off else MotorState.ENABLED
         if hardware.fault is not None:
             state = MotorState.FAULT
         position, velocity = last.position / self._turns, last.velocity / self._turns
@@ -130,10 +127,10 @@ class VescMotor(Motor):
     def _enable(self) -> None:
         hardware = self._hardware
         self._check_fault()
-        if hardware.mode is not None:
+        if hardware.motions.variable is not None:
             return  # it holds, after a quick stop
-        position, _ = hardware.now(Mode.POSITION)
-        hardware.drive.confirm(hardware.tell(Mode.POSITION, position))
+        sender = hardware.sender(Mode.POSITION)
+        hardware.drive.confirm(hardware.motions.hold(hardware.measured(), sender))
         hardware.read_fault()
         self._check_fault()
 
@@ -141,64 +138,24 @@ class VescMotor(Motor):
         self._hardware.drive.confirm(self._hardware.release())
 
     def _command(self, motion: Motion) -> None:
-        hardware, mode = self._hardware, _MODES[motion.variable]
-        scale = self._scale(motion.variable)
-        lead_s = hardware.options.lead_ms / 1e3 if mode is Mode.POSITION else 0.0
         self._check_speed(motion)
-        if motion.trajectory is not None:
-            demand = demand_of(motion)
-            began, ends_s = demand.initial_argument, demand.final_argument
-            value, duration_s = lambda at_s: demand.value(began + at_s) * scale, ends_s - began
-        elif mode is Mode.POSITION:
-            value, duration_s = self._way_to(motion)
-        else:
-            value, duration_s = self._ramp_to(motion, hardware.now(mode)[0] / scale, scale)
-        hardware.drive.confirm(hardware.follow(mode, value, duration_s, lead_s))
+        hardware, scale = self._hardware, self._scale(motion.variable)
+        sender = hardware.sender(_MODES[motion.variable])
+        sent = hardware.motions.start(motion, scale, hardware.measured(), sender)
+        hardware.drive.confirm(sent)
 
     def _stop(self) -> None:
         hardware = self._hardware
-        if hardware.mode is None:
+        if hardware.motions.variable is None:
             last = hardware.estimate
             if last is not None and abs(last.velocity) > _STILL:
                 hardware.brake_anyway()
             return
-        position, velocity = hardware.now(Mode.POSITION)
         slower = self._physical.stop_deceleration(self.model.deceleration) * abs(self._turns)
-        ramp = Ramps(velocity, 0.0, slower, slower)
-        lead_s = hardware.options.lead_ms / 1e3
         try:
-            hardware.follow(
-                Mode.POSITION, lambda at_s: ramp.integral(at_s, position), ramp.duration_s, lead_s
-            )
-        except MotorBusyError:  # another program has the motor: it goes on from the rest
+            hardware.motions.stop(slower, hardware.measured(), hardware.sender(Mode.POSITION))
+        except MotorBusyError:  # another program has the motor
             hardware.brake_anyway()
-
-    def _way_to(self, motion: Motion) -> tuple[Callable[[float], float], float]:
-        """Return the way of a set-point [turns] from the present demand, and its duration [s]."""
-        position, velocity = self._hardware.now(Mode.POSITION)
-        size = abs(self._turns)
-        limits = (motion.velocity * size, motion.acceleration * size, motion.deceleration * size)
-        profile = trapezoid(
-            motion.target * self._turns,
-            ProfileLimits(*limits),
-            initial=position,
-            initial_velocity=max(-limits[0], min(limits[0], velocity)),
-        )
-        return profile.value, profile.duration_s
-
-    def _ramp_to(
-        self, motion: Motion, start: float, scale: float
-    ) -> tuple[Callable[[float], float], float]:
-        """Return the ramp of a set-point, and its duration [s]."""
-        is_velocity = motion.variable is ControlVariable.VELOCITY
-        up, down = motion.acceleration, motion.deceleration
-        ramps = Ramps(start, motion.target, *((up, down) if is_velocity else (motion.slope,) * 2))
-
-        def value(at_s: float) -> float:
-            on_ramp = ramps.at(at_s)
-            return (motion.target if on_ramp is None else on_ramp[0]) * scale
-
-        return value, ramps.duration_s
 
     def _check_speed(self, motion: Motion) -> None:
         """Refuse speeds that the controller cannot follow.
@@ -258,23 +215,23 @@ class VescMotor(Motor):
             )
 
     def _is_done(self) -> bool:
-        hardware, stream = self._hardware, self._hardware.stream
+        hardware, motions = self._hardware, self._hardware.motions
         is_over = super()._is_done()
-        if stream is not None and stream.error is not None:
-            raise stream.error
-        if stream is not None and stream.is_going:
+        if motions.error is not None:
+            raise motions.error
+        if motions.is_going:
             return False
-        if not is_over and hardware.held is not None and hardware.since_end_s() > _ARRIVAL_S:
+        if not is_over and hardware.held is not None and motions.since_end_s > _ARRIVAL_S:
             window = f"{self.model.start_tolerance:.3g} {self.model.unit}"
             hardware.fail(f"the motor did not reach its target within {window}")
             self._check_fault()
         return is_over
 
     def _read_reference(self) -> float:
-        hardware = self._hardware
-        if hardware.mode is not Mode.POSITION:
+        motions = self._hardware.motions
+        if motions.variable is not ControlVariable.POSITION:
             return self._read_position()
-        return hardware.now(Mode.POSITION)[0] / self._turns
+        return motions.now(ControlVariable.POSITION, self._hardware.measured())[0] / self._turns
 
     def _position_source(self) -> str:
         return "angle of STATUS_4 (10h) with the turns of STATUS_5 (1Bh)"
@@ -282,7 +239,7 @@ class VescMotor(Motor):
     # --- the hardware itself
 
     def _open_low_level(self) -> VescHwMotor:
-        self._hardware.end_stream()
+        self._hardware.motions.forget()
         return self._hardware
 
     def _close_low_level(self) -> None:
