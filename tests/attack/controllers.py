@@ -24,6 +24,7 @@ from motorhil.emulators.media.byte_pipe import BytePipe
 from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.modbus.tcp import adu
 from motorhil.emulators.oriental_az.drive import build as build_oriental
+from motorhil.emulators.rmd.drive import build as build_rmd
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.emulators.vesc.drive import build as build_vesc
@@ -308,6 +309,9 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
     vesc = partial(build_vesc, {"node_id": NODE, "status_1": 63}, _context())
     ping, pong = frame(0x8000_1105, b"\xfd"), frame(0x8000_12FD, b"\x05\0")
     kinds["vesc"] = partial(attack_identifiers, vesc, ping, pong)
+    rmd = partial(build_rmd, {"node_id": NODE, "interruption_ms": 50}, _context())
+    mode = frame(0x145, b"\x9d" + bytes(7)), frame(0x245, bytes.fromhex("9d19000000000000"))
+    kinds["rmd"] = partial(attack_identifiers, rmd, *mode)
     for name, build in (("leadshine_pr", build_leadshine), ("oriental_az", build_oriental)):
         made = partial(build, {"unit": UNIT}, _context())
         kinds[name] = partial(attack_unit, made, _addresses(build))

@@ -68,20 +68,21 @@ def on_tcp(text: str) -> str:
     return text.replace(line, 'kind = "modbus_tcp"')
 
 
-def vescs() -> str:
-    """Return two VESCs whose status frames are on."""
+def two(kind: str, drive: str, motor: str = "") -> str:
+    """Return two motors of this kind on a CAN bus, with these settings on either side."""
     text = BUS
     for number, name in enumerate(("left", "right"), 1):
-        span = "position_divider = 8.0\nerpm_min = 10.0\n"
         text += (
-            f'[controller.{name}]\nkind = "vesc"\nbus = "can0"\nnode_id = {number}\n{span}'
-            "status_1 = 25\nstatus_rate_1_hz = 100\nposition_kp = 0.2\nposition_kd = 0.0028\n"
+            f'[controller.{name}]\nkind = "{kind}"\nbus = "can0"\nnode_id = {number}\n{drive}'
             'plant = { preset = "wheel_60w" }\n'
-            f'[motor.{name}]\nadaptation = "vesc"\ncontroller = "{name}"\n{span}'
+            f'[motor.{name}]\nadaptation = "{kind}"\ncontroller = "{name}"\n{motor}'
             f"[motor.{name}.model]\n{MODEL}"
         )
     return text + GROUP
 
+
+_SPAN = "position_divider = 8.0\nerpm_min = 10.0\n"
+_VESC = f"{_SPAN}status_1 = 25\nstatus_rate_1_hz = 100\nposition_kp = 0.2\nposition_kd = 0.0028\n"
 
 GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     "cia402": ("two CiA 402 drives", EVERY["cia402"].rig(), algorithms),
@@ -93,7 +94,8 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     ),
     "leadshine": ("two PR-mode drives on a serial line", EVERY["leadshine"].rig(), algorithms),
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
-    "vesc": ("two VESCs", vescs(), algorithms),
+    "vesc": ("two VESCs", two("vesc", _VESC, _SPAN), algorithms),
+    "rmd": ("two RMDs", two("rmd", "interruption_ms = 300\n"), algorithms),
     "oriental_az": ("two AZ drivers on a serial line", EVERY["oriental_az"].rig(), algorithms),
 }
 """By name: description, rig, application."""

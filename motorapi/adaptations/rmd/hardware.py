@@ -137,6 +137,7 @@ class RmdHwMotor:
         self._answers: dict[int, int] = {}  # number of answers by command
         self._acceleration: dict[int, int] = {}  # in its ROM, by index
         self._speed = 0.0
+        self._mode_asked: int | None = None
         self._is_known = False
         self._doubts = True  # whether the next answer may be an echo
         self._turn = 0
@@ -308,11 +309,12 @@ class RmdHwMotor:
         elif command in (_STATUS_2, Command.SPEED, Command.POSITION, Command.INCREMENT):
             self._speed = float(int.from_bytes(data[4:6], "little", signed=True))
         elif command == _MODE:
-            self.mode = data[7]
+            self._mode_asked = data[7]  # valid from the next errors on: a fault is then known
         elif command == _READ_ACCELERATION:
             self._acceleration[data[1]] = _U32.unpack(data)[0]
         elif command == _STATUS_1:
             self._see_errors(int.from_bytes(data[6:], "little"), time_ns)
+            self.mode = self._mode_asked
 
     def _see_errors(self, errors: int, time_ns: int) -> None:
         self.errors = errors
@@ -334,6 +336,6 @@ class RmdHwMotor:
     def _lose(self) -> None:
         self.motions.forget()
         self._doubts = True
-        self.estimate = self.mode = None
+        self.estimate = self.mode = self._mode_asked = None
         self._acceleration.clear()
         self.drive.doubt()

@@ -31,6 +31,7 @@ HELD = {
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
+    "rmd": {"limit-velocity"},
     "vesc": {"limit-velocity"},
 }
 

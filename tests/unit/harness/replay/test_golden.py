@@ -16,7 +16,7 @@ from tests.support.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.support.recordings.altered import traffic
 
 NAMES = list(GOLDEN)
-FOREIGN = ("vesc",)  # protocols whose requests a recorded device or host does not know
+FOREIGN = ("rmd", "vesc")  # protocols whose requests a recorded device or host does not know
 
 
 @pytest.fixture(params=NAMES)
