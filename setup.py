@@ -39,7 +39,7 @@ COMPILED = (
     "traces/protobuf.py",
     "motorapi/runtime/api.py",
     "motorapi/adaptations/canopen/emcy.py",
-    "motorapi/adaptations/canopen/link.py",
+    "motorapi/runtime/can_link.py",
     "motorapi/adaptations/canopen/node.py",
     "motorapi/adaptations/cia402/csp.py",
     "motorapi/adaptations/cia402/measurements.py",

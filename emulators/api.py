@@ -9,8 +9,11 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.emulators.can.frame import (
+    BRS,
     EFF_FLAG,
     ERR_FLAG,
+    FD_FRAME_BYTES,
+    FD_LENGTHS,
     RTR_FLAG,
     can_id_of,
     data_of,
@@ -35,17 +38,25 @@ from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
     REQUIRED,
+    Number,
     SettingError,
+    TablesByKey,
+    flag,
     number,
     read,
+    setting,
     table,
     text,
     whole,
+    word,
 )
 
 __all__ = [
+    "BRS",
     "EFF_FLAG",
     "ERR_FLAG",
+    "FD_FRAME_BYTES",
+    "FD_LENGTHS",
     "NEVER_NS",
     "RANGES",
     "REQUIRED",
@@ -57,11 +68,14 @@ __all__ = [
     "MotorSettings",
     "MotorTable",
     "NonvolatileMemory",
+    "Number",
     "SettingError",
+    "TablesByKey",
     "axis_of",
     "can_id_of",
     "controller",
     "data_of",
+    "flag",
     "flags",
     "ns",
     "number",
@@ -70,7 +84,9 @@ __all__ = [
     "pack_fd",
     "pack_remote",
     "read",
+    "setting",
     "table",
     "text",
     "whole",
+    "word",
 ]

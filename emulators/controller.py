@@ -74,7 +74,7 @@ def controller(*, api: int, bus_kinds: Sequence[str] = ("can",)) -> Callable[[Bu
 
     Args:
         api: the version of `motorhil.emulators.api` that the controller was written for.
-        bus_kinds: the kinds of buses that it builds for: can, modbus_rtu, modbus_tcp.
+        bus_kinds: the kinds of buses that it builds for: can, modbus_rtu, modbus_tcp, serial.
     """
 
     def mark(build: BuildT) -> BuildT:
@@ -150,12 +150,14 @@ class ControllerContext:
         folder: the start of relative paths in the table.
         seed: the run's seed; draw only from streams named after the controller.
         memory_file: opens the file for nonvolatile data that the table names.
+        bitrate_bit_s: the bit rate of its bus or serial line; None: not known, or without one.
     """
 
     name: str
     folder: Path
     seed: int
     memory_file: Callable[[str], NonvolatileMemory] = no_files
+    bitrate_bit_s: int | None = None
 
     def memory(self, file: str | None) -> NonvolatileMemory:
         """Return the nonvolatile memory: a file, or (None) one that lasts as long as the rig.

@@ -30,7 +30,6 @@ from typing import Final, final
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
-    DeviceFault,
     LinkError,
     MotionInterrupted,
     MotorBusyError,
@@ -281,9 +280,7 @@ class LogicalMotor:
             fault = self.hooks.read_fault()
             if fault is None:
                 fault = Fault(0, "not told", self.runtime.now_ns())
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
         return state
 
     def require_rest(self, operation: str) -> None:

@@ -46,6 +46,7 @@ from motorhil.settings import (
     declaration,
     flag,
     number,
+    parse_toml,
     setting,
 )
 from motorhil.settings import given as given_in
@@ -283,7 +284,7 @@ class MotorModel:
                 text = file.read(_CHARACTERS_MAX + 1)
             if len(text) > _CHARACTERS_MAX:
                 raise ValueError(f"more than {_CHARACTERS_MAX // 1_000_000} MB, so it is no model")
-            table = tomllib.loads(text)
+            table = parse_toml(text)
         except tomllib.TOMLDecodeError as error:
             problem, remedy = f"not TOML: {error}", _TOML_REMEDY
             line = _line_in(str(error))

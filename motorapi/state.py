@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, final
 
+from motorhil.motorapi.errors import DeviceFault
+
 
 @final
 class MotorState(Enum):
@@ -24,6 +26,10 @@ class Fault:
     code: int
     text: str
     since_ns: int
+
+    def as_error(self, motor: str) -> DeviceFault:
+        """Return the error for an operation of `motor` that this fault ends or prevents."""
+        return DeviceFault(motor=motor, code=self.code, text=self.text, since_ns=self.since_ns)
 
     def __repr__(self) -> str:
         return f"<Fault {self.code:04X}h ({self.text}) since {self.since_ns / 1e9:.6f} s>"

@@ -18,6 +18,7 @@ This is the one module below the islands: it imports the standard library only.
 import difflib
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from enum import Enum
@@ -27,6 +28,10 @@ from typing import Any, Final, Protocol, TypeVar, final
 BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 REQUIRED: Final[Any] = MISSING
 """The default of a key that a table must have."""
+KEY_PARTS_MAX: Final = 100
+"""The number of parts of a dotted key: `tomllib` takes quadratic time for more."""
+_KEY_PART: Final = r"""(?:"[^"\n]*"|'[^'\n]*'|(?<![\w-])[\w-]+)"""
+_DEEP_KEY: Final = re.compile(rf"{_KEY_PART}(?:[ \t]*\.[ \t]*{_KEY_PART}){{{KEY_PARTS_MAX}}}")
 _SHOWN_MAX: Final = 60
 INTEGER_MAX: Final = 2**63 - 1  # TOML 1.0, "Integer": 64-bit signed is what all must accept
 _KEY: Final = "setting"
@@ -55,6 +60,18 @@ KeyPath = tuple[str | int, ...]
 """The keys down to a value; items of lists are counted from 0."""
 Schema = dict[str, Any]
 T = TypeVar("T")
+
+
+def parse_toml(text: str) -> dict[str, object]:
+    """Return the values of a TOML document, in a time that grows with its size.
+
+    Raises:
+        RecursionError: it is nested too deeply, or a key has more than KEY_PARTS_MAX parts.
+        ValueError: it is not TOML (tomllib.TOMLDecodeError), or a number has over 4300 digits.
+    """
+    if _DEEP_KEY.search(text):
+        raise RecursionError(f"a key has more than {KEY_PARTS_MAX} parts")
+    return tomllib.loads(text)
 
 
 @final

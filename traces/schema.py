@@ -3,6 +3,7 @@
   topic                     message                contents
   /can/<bus>                motorhil.CanFrame      every frame, at the time of its last bit
   /modbus/<line>            motorhil.ModbusAdu     every ADU, when its end was detected
+  /serial/<line>            motorhil.SerialData    what one sender sent without a pause
   /motor/<name>/state       foxglove.JointState    the motor's state as the application knows it
   /motor/<name>/lock        motorhil.MotorLock     acquisitions, waits and releases of a motor
   /group/<name>/sync        motorhil.GroupSync     skew at the start and end of a group
@@ -159,6 +160,16 @@ MODBUS_ADU: Final = Message(
         Field(4, "end_ns", Kind.INT64),  # end of its last bit
         Field(5, "spoiled", Kind.BOOL),  # a pause in it, or a collision: not a valid frame
         Field(6, "tcp", Kind.BOOL),  # framing: MBAP, else RTU
+        Field(15, "data", Kind.BYTES),
+    ),
+)
+
+# Lines of other protocols; field numbers as in an ADU.
+SERIAL_DATA: Final = Message(
+    "motorhil.SerialData",
+    (
+        *MODBUS_ADU.fields[:4],
+        Field(5, "spoiled", Kind.BOOL),  # a collision
         Field(15, "data", Kind.BYTES),
     ),
 )

@@ -635,6 +635,32 @@ class Axis:
         self._fed_a = 0.0
         self._begin(pieces, NEVER, False, 0.0)
 
+    def follow_impedance(
+        self,
+        position_inc: float,
+        velocity_inc_s: float,
+        stiffness_a_inc: float,
+        damping_a_s_inc: float,
+        current_a: float,
+    ) -> None:
+        """Pull towards a position and a velocity with this stiffness and damping (MIT mode).
+
+        The current demand is stiffness * (position - actual) + damping * (velocity - actual) +
+        `current_a` in every tick, within the current limits. Barred directions have no effect.
+
+        Raises:
+            RuntimeError: power is off.
+        """
+        self._start()
+        self._way = 0.0
+        self._mode = servo.IMPEDANCE
+        self._fed_a = 0.0
+        pieces = profile.impedance(
+            *(position_inc - self._offset_inc, velocity_inc_s * self._tick_s, stiffness_a_inc),
+            *(damping_a_s_inc / self._tick_s, current_a),
+        )
+        self._begin(pieces, NEVER, False, -1.0)  # no window of the current
+
     def feed_current(self, current_a: float) -> None:
         """Add this current to the velocity loop's output from the next tick on; 0.0 ends it.
 
@@ -685,7 +711,7 @@ class Axis:
         """
         self._bar_slower = self._per_tick2(deceleration_inc_s2)
         self._barred = (_BACKWARD if backward else 0) | (_FORWARD if forward else 0)
-        if self._mode == servo.TORQUE:  # the load may drive the motor against the current
+        if self._mode >= servo.TORQUE:  # the load may drive the motor against the current
             self._way = self._time.state[servo.I_VELOCITY]
         moves = self.flags & PROFILE_ACTIVE or self._time.state[servo.I_DEMAND_VELOCITY] != 0.0
         if self._mode != servo.OFF and (self._mode != servo.POSITION or moves):
@@ -723,7 +749,7 @@ class Axis:
             raise RuntimeError("the power stage is off: call power(True) first")
         t = float(self._time.tick + 1 - self._profile_tick)
         position, velocity = profile.demand_at(self._profile, t)
-        if self._mode == servo.TORQUE:  # only the current has a demand
+        if self._mode >= servo.TORQUE:  # only the current has a demand
             velocity = self._time.state[servo.I_VELOCITY]
         if self._mode != servo.POSITION:
             position = self._time.state[servo.I_COUNT] + velocity

@@ -87,6 +87,16 @@ def current_line(start: float, end: float, ticks: float, speed_max: float = UNLI
     )
 
 
+def impedance(
+    position: float, velocity: float, stiffness: float, damping: float, current_a: float
+) -> Profile:
+    """Return the constants of impedance control: one piece whose columns have other meanings.
+
+    Stiffness is in amperes per increment, damping in amperes per increment and tick.
+    """
+    return ((FOREVER, 0.0, position, stiffness, damping, velocity, current_a),)
+
+
 def ramp(
     position: float, velocity: float, wanted: float, acceleration: float, deceleration: float
 ) -> Profile:

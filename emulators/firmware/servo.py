@@ -11,7 +11,9 @@
    current limit, conditional integration. In torque control none of these loops runs, and the
    profile is one of current. Position and slope of its pieces are then amperes, and amperes per
    tick. Their velocity is the speed limit. The velocity loop's integrator follows the current, so
-   that a change of mode causes no jump.
+   that a change of mode causes no jump. Impedance control is torque control with another current:
+   stiffness times the distance from a position, plus damping times the difference from a velocity,
+   plus a constant.
 4. The flags are set.
 
 Standstill is exact. The rotor sticks with speed 0.0 while the torque on it is within the Coulomb
@@ -51,6 +53,7 @@ POSITION: Final = 1
 VELOCITY: Final = 2
 TORQUE: Final = 3
 FED: Final = 4  # POSITION with the pieces' velocities fed forward unchanged
+IMPEDANCE: Final = 5  # TORQUE with the current of `profile.impedance`
 
 # powered; current, integrator of the current loop, speed [rad/s], position; integrator of the
 # velocity loop, current demand; counts of this tick and the three before; position and velocity
@@ -339,7 +342,7 @@ def run(  # noqa: C901, PLR0913 -- hot loop: a call costs a row of the map
             demand = c0
             demand_v = 0.0
             flags = in_target = behind = in_velocity = 0
-        elif mode == TORQUE:
+        elif mode >= TORQUE:
             on = True
             flags = POWERED
             demand = c0
@@ -348,9 +351,16 @@ def run(  # noqa: C901, PLR0913 -- hot loop: a call costs a row of the map
             while t >= end:
                 index += 1
                 end, start, p, slope, half, v, change = profile[index]
-            wanted = p + (t - start) * slope
-            if v < UNLIMITED:  # limit the current so that the speed does not pass v: the
-                # velocity loop in its incremental form, which starts from the current itself
+            if mode == IMPEDANCE:  # slope, half and change: stiffness, damping, current
+                wanted = slope * (p - c0) + half * (v - (c0 - c2) * 0.5) + change
+                demand_v = v
+                if slope != 0.0:
+                    demand = whole(p + 0.5)
+            else:
+                wanted = p + (t - start) * slope
+            if v < UNLIMITED and mode == TORQUE:
+                # limit the current so that the speed does not pass v: the velocity loop in its
+                # incremental form, which starts from the current itself
                 held = hold_a - kp_v * (c0 - c1 - c2 + c3) * 0.5 - ki_v * (c0 - c2) * 0.5
                 most = held + ki_v * v
                 least = held - ki_v * v

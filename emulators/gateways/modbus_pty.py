@@ -5,6 +5,8 @@ lost. Frames are therefore delimited by their content (RtuRequests), and otherwi
 longer than any scheduling delay. Each frame is then sent on the emulated line as a whole, t3.5
 after the previous one, and takes its time there. Characters on the line are passed to the client
 when the last one is complete. Late responses, or two clients at once, still collide.
+
+On a line without silences (`SerialLine.has_silences`) data are sent at once, as written.
 """
 
 import os
@@ -103,6 +105,9 @@ class ModbusPty:
             data = os.read(self._master, _PIECE)
         except OSError:  # no data
             return False
+        if not self._line.has_silences:
+            self._host.send(data)
+            return True
         self._frames.extend(self._requests.feed(data))
         now_ns = self._queue.now_ns
         self._pause.set(now_ns + self._silence_ns if self._requests.waits else None)

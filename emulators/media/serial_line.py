@@ -4,7 +4,8 @@ The line has no arbitration: a port that submits begins to send at once. Simulta
 garbled for listeners (a 0 from any sender prevails), and a sender hears nothing meanwhile. A
 character takes start bit, 8 data bits, parity bit if any, and stop bits. Receivers of Modbus RTU
 separate frames by silence: t3.5 ends a frame, and a pause longer than t1.5 within a frame spoils
-it. Above 19,200 bit/s both are fixed, 1.750 ms and 750 us.
+it. Above 19,200 bit/s both are fixed, 1.750 ms and 750 us. Other protocols delimit their packets
+themselves: without `silences`, a line delivers characters only.
 
 Source: MODBUS over Serial Line, Specification and Implementation Guide V1.02, sections 2.5.1.1 and
 3.3; TIA-485 for the half duplex pair.
@@ -55,9 +56,11 @@ class SerialLine:
         parity: "E", "O" or "N".
         stop_bits: 1 or 2.
         faults: the faults to inject; None: no faults.
+        silences: whether silences delimit frames.
 
     Attributes:
-        t15_ns, t35_ns: the two silences.
+        has_silences: as given.
+        t15_ns, t35_ns: the two silences; 0 without silences.
         characters, frames, spoiled, collisions: counted since the beginning.
         busy_ns: the total time in which any port was sending.
 
@@ -72,6 +75,7 @@ class SerialLine:
         parity: str = "E",
         stop_bits: int = 1,
         faults: SerialFaultPlan | None = None,
+        silences: bool = True,
     ) -> None:
         if (
             not 300 <= baud <= 10_000_000
@@ -85,9 +89,12 @@ class SerialLine:
         self.name: Final = name
         self.baud: Final = baud
         self._bits: Final = 9 + (parity != "N") + stop_bits
-        fast = baud > _FAST_BIT_S
-        self.t15_ns: Final = _T15_NS if fast else 3 * self._bits * _NS // (2 * baud)
-        self.t35_ns: Final = _T35_NS if fast else 7 * self._bits * _NS // (2 * baud)
+        self.has_silences: Final = silences
+        t15_ns, t35_ns = 3 * self._bits * _NS // (2 * baud), 7 * self._bits * _NS // (2 * baud)
+        if baud > _FAST_BIT_S:
+            t15_ns, t35_ns = _T15_NS, _T35_NS
+        self.t15_ns: Final = t15_ns if silences else 0
+        self.t35_ns: Final = t35_ns if silences else 0
         self.characters: int = 0
         self.frames: int = 0
         self.spoiled: int = 0
@@ -224,7 +231,8 @@ class SerialLine:
         if collides:
             self.collisions += 1
             self._is_spoiled = True
-        self._frame += data
+        if self.has_silences:
+            self._frame += data
         self._quiet_ns = end_ns
 
     def _garbled(self, bursts: list[_Burst]) -> bytes:

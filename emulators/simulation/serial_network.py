@@ -1,7 +1,9 @@
-"""Modbus lines of a world: serial lines, and TCP through a gateway.
+"""Lines of a world: serial lines, and Modbus/TCP through a gateway.
 
-Controllers are the same on both: they receive and send RTU frames. On a serial line these are the
-frames on the wires. On TCP a gateway is in between, as in a real plant.
+Modbus controllers are the same on both: they receive and send RTU frames. On a serial line these
+are the frames on the wires. On TCP a gateway is in between, as in a real plant.
+
+On a serial line without silences, controllers receive the characters, as hosts do.
 """
 
 from abc import ABC, abstractmethod
@@ -136,8 +138,13 @@ class SerialSegment(LineSegment):
             if kind == SENT:
                 self.endpoints[port].confirm(data, now_ns)
             elif kind == CHARACTERS:
+                is_raw = not self.line.has_silences
+                if is_raw:  # port -1: a collision, recorded as of the line itself
+                    sender = self.name if port < 0 else self.endpoints[port].name
+                    for tap in self.taps:
+                        tap(self.name, now_ns, start_ns, now_ns, sender, data, port < 0)
                 for endpoint in self.endpoints:
-                    if isinstance(endpoint, LineHost) and endpoint.port != port:
+                    if (is_raw or isinstance(endpoint, LineHost)) and endpoint.port != port:
                         endpoint.deliver(data, now_ns)
             else:
                 spoiled = kind == SPOILED

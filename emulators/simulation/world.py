@@ -270,5 +270,5 @@ def _port_and_name(slot: ControllerSlot) -> tuple[int, str]:
 def _unit_of(controller: Controller) -> int:
     unit: object = getattr(getattr(controller, "inner", controller), "unit", None)
     if not isinstance(unit, int):
-        raise ValueError("controller has no unit; expected a Modbus controller")
+        raise ValueError("controller has no unit; expected a controller for lines")
     return unit

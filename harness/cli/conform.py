@@ -360,8 +360,9 @@ def _print_summary(outcome: "Outcome") -> None:
     else:
         print("benches: the rig as it is, not varied")
     if outcome.claims is not None:
-        claimed = [name for name, why_not in outcome.claims.items() if not why_not]
-        print(f"claimed: {listed(claimed)}")
+        print(f"claimed: {listed(outcome.claimed)}")
+        if outcome.assumed:
+            print(f"assumed, unless the rig denies it: {listed(outcome.assumed)}")
     reasons: dict[str, list[str]] = {}
     for one in outcome.findings:
         if one.verdict.result is Result.NOT_APPLICABLE:

@@ -26,7 +26,7 @@ from motorhil.harness.cli.processes import StopSignals
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
 from motorhil.harness.replay.device_node import KIND as RECORDED
 from motorhil.harness.replay.verdict import summary, unanswered
-from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, BusDescription
+from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 
@@ -68,6 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[BUS=]LINK",
         help="serve a bus of kind modbus_rtu (default: the first) on a pseudo-terminal with "
         "this symbolic link; may be repeated",
+    )
+    parser.add_argument(
+        "--serial",
+        action="append",
+        default=[],
+        metavar="[BUS=]LINK",
+        help="serve a bus of kind serial likewise; may be repeated",
     )
     parser.add_argument(
         "--any-address",
@@ -173,13 +180,13 @@ def _report_unanswered(rig: Rig) -> int:
 
 def _require_endpoint(rig: Rig, options: argparse.Namespace) -> None:
     """Raise RigError if nothing would be served."""
-    if rig.world.bus_names() or options.modbus_tcp or options.modbus_rtu:
+    if rig.world.bus_names() or options.modbus_tcp or options.modbus_rtu or options.serial:
         return
     if rig.world.line_names():
         raise RigError(
             options.rig,
             "the rig has lines and no CAN bus, and no address to serve them is given",
-            "say --modbus-tcp 127.0.0.1:5020, or --modbus-rtu LINK",
+            "say --modbus-tcp 127.0.0.1:5020, --modbus-rtu LINK, or --serial LINK",
         )
     raise RigError(
         options.rig,
@@ -256,8 +263,10 @@ def _open_lines(rig: Rig, loop: WallLoop, options: argparse.Namespace) -> dict[s
         endpoint = ModbusSocket(host, port, rig.world, bus, any_address=options.any_address)
         loop.add(endpoint)
         endpoints.setdefault(bus, []).append(str(endpoint))
-    for text in options.modbus_rtu:
-        bus, link = _bus_and_place(rig, text, "--modbus-rtu", MODBUS_RTU)
+    terminals = [(text, "--modbus-rtu", MODBUS_RTU) for text in options.modbus_rtu]
+    terminals += [(text, "--serial", SERIAL) for text in options.serial]
+    for text, option, kind in terminals:
+        bus, link = _bus_and_place(rig, text, option, kind)
         pty = ModbusPty(Path(link), rig.world, bus)
         loop.add(pty)
         endpoints.setdefault(bus, []).append(str(pty.link.absolute()))
@@ -281,7 +290,8 @@ def _line_texts(rig: Rig, endpoints: dict[str, list[str]]) -> Iterable[str]:
 def _protocol(bus: BusDescription) -> str:
     if bus.kind == MODBUS_TCP:
         return "Modbus/TCP"
-    return f"Modbus RTU (as at {bus.bitrate_bit_s} bit/s 8{bus.parity}{bus.stop_bits})"
+    name = "Modbus RTU" if bus.kind == MODBUS_RTU else "serial line"
+    return f"{name} (as at {bus.bitrate_bit_s} bit/s 8{bus.parity}{bus.stop_bits})"
 
 
 def _tcp_address(rig: Rig, text: str) -> tuple[str, str, int]:

@@ -193,7 +193,7 @@ class _Filter:
     def _is_wanted(self, line: Line) -> bool:
         if line.topic == "/events":
             return self._motors is None or not line.names or self._has_motor(line)
-        if line.topic.startswith(("/can/", "/modbus/")):
+        if line.topic.startswith(("/can/", "/modbus/", "/serial/")):
             return self._takes_traffic(line)
         if self._ids is not None:
             return False

@@ -3,14 +3,15 @@
 from collections.abc import Callable
 from typing import Final, final
 
-from motorhil.harness.conformance.bench import Opener
-from motorhil.harness.rig.config.conformance import Capability, Facts
+from motorhil.harness.conformance.bench import Ability, Opener, RigProtocol
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
     DerivativeLimits,
     Motor,
+    MotorError,
     Setpoint,
     SyncLevel,
     Trajectory,
@@ -31,11 +32,15 @@ _MODES: Final = {
 _SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
 """Capabilities whose check imports numpy, which takes longer than the first verdicts."""
 _HOOKS: Final = {
-    Capability.LOW_LEVEL: ("_open_low_level",),
-    Capability.HOMING: ("_home",),
-    Capability.FAULTS: ("_read_fault", "_reset_fault"),
+    Capability.LOW_LEVEL: (("_open_low_level",),),
+    Capability.HOMING: (("_home",),),
+    Capability.FAULTS: (("_read_fault", "_latest_fault"), ("_reset_fault",)),
 }
-"""The hooks that make a capability, and claim it where an adaptation implements them."""
+"""The hooks that claim a capability, where an adaptation implements one of each group."""
+_LATE: Final = (_SLOW, (Capability.HOMING,))
+"""Groups of capabilities that are read when one of them is needed; homing changes the motor."""
+_HERE: Final = (37, 35)
+"""Methods of homing on the spot (CiA 402-2, 6098h)."""
 _READINGS: Final = {
     Capability.MEASURED_TORQUE: Motor.torque,
     Capability.MEASURED_FOLLOWING_ERROR: Motor.following_error,
@@ -64,10 +69,10 @@ class Claims:
             with self._open() as bench:
                 bench.motor.logical.hooks.connect()  # what its drive lacks, it does not claim
                 for one in dict.fromkeys((*_READINGS, *Capability)):  # reading shows more units
-                    if (one in _SLOW) is not (capability in _SLOW):
+                    if any((one in late) is not (capability in late) for late in _LATE):
                         continue
                     try:
-                        found[one] = _why_not(bench.motor, bench.facts, one)
+                        found[one] = _why_not(bench, one)
                     except (Exception, SystemExit):
                         if one is capability:  # clauses that need another one report its error
                             raise
@@ -75,12 +80,34 @@ class Claims:
         return self._known[capability]
 
 
-def _why_not(motor: Motor, facts: Facts, capability: Capability) -> str:
+def _why_not(bench: RigProtocol, capability: Capability) -> str:
+    facts = bench.facts
     if capability in facts.without:
         return f"not claimed by the rig: {facts.without[capability]}"
-    if capability not in facts.claims and not _claims(motor, capability):
+    if capability in facts.claims:
+        return ""
+    if not _claims(bench.motor, capability):
         return f"the adaptation does not claim {capability.value}"
-    return ""
+    return _why_not_homing(bench) if capability is Capability.HOMING else ""
+
+
+def _why_not_homing(bench: RigProtocol) -> str:
+    """Return why homing is not claimed: it is tried on a bench that begins afresh afterwards."""
+    if bench.facts.seeking_method is not None or Ability.AFRESH not in bench.abilities:
+        return ""
+    why_not = ""
+    for method in _HERE:
+        try:
+            bench.motor.home(method)
+        except UnsupportedError as error:
+            why_not = (
+                f"the motor refuses homing on the spot, the rig has no seeking_method: {error}"
+            )
+        except MotorError:
+            return ""  # the clauses on homing report it
+        else:
+            return ""
+    return why_not
 
 
 def _claims(motor: Motor, capability: Capability) -> bool:
@@ -94,7 +121,7 @@ def _claims(motor: Motor, capability: Capability) -> bool:
     if capability in _READINGS:
         return _reads(_READINGS[capability], motor)
     if capability in _HOOKS:
-        return all(implements(motor, hook) for hook in _HOOKS[capability])
+        return all(any(implements(motor, hook) for hook in one) for one in _HOOKS[capability])
     if capability is Capability.COMMON_TRIGGER:
         return motor.logical.hooks.sync_offer().level >= SyncLevel.TRIGGERED
     if capability is Capability.COMPLEX_POSITION:
@@ -103,7 +130,7 @@ def _claims(motor: Motor, capability: Capability) -> bool:
         return _takes_functions(motor, ControlVariable.VELOCITY)
     if capability is Capability.LIMITED_SET_POINT:
         return _takes_limits(motor)
-    return True  # what only the rig can know: claimed unless it is in `without`
+    return capability.is_assumed
 
 
 def _reads(read: Callable[[Motor], float], motor: Motor) -> bool:

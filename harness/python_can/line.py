@@ -40,7 +40,7 @@ class EmulatedLine:
 
     Attributes:
         name: the line's name in messages.
-        framing: "rtu" on a serial line, "tcp" on a gateway's.
+        framing: "rtu" on a Modbus line, "serial" on another serial line, "tcp" on a gateway's.
         runtime: the Runtime in which the application waits.
         silence_ns: t3.5 [ns]; 0 where silence means nothing.
         is_closed: True once either end has closed the connection.
@@ -51,7 +51,8 @@ class EmulatedLine:
         self.name: Final = name
         self.runtime: Final = runtime
         serial = segment.line if isinstance(segment, SerialSegment) else None
-        self.framing: Final = "tcp" if serial is None else "rtu"
+        framing = "tcp" if serial is None else "rtu" if serial.has_silences else "serial"
+        self.framing: Final = framing
         self.silence_ns: Final = 0 if serial is None else serial.t35_ns
         self.is_closed: bool = False
         self._serial = serial
@@ -107,6 +108,6 @@ class EmulatedLine:
 
 
 if TYPE_CHECKING:  # lets mypy check that EmulatedLine is a ByteLine
-    from motorhil.motorapi.adaptations.modbus.client import ByteLine
+    from motorhil.motorapi.api.line_exchanges import ByteLine
 
     _EMULATED: type[ByteLine] = EmulatedLine

@@ -4,7 +4,8 @@ A recording names a decoder only by the kind of a controller in its rig, and get
 package registered it under this name. Code that a recording names is never loaded.
 """
 
-from collections.abc import Callable, Collection, Iterable
+import inspect
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
@@ -52,10 +53,11 @@ def description_for(
         decoders.add(one.bus, one.node, _plugin(one))
     plugins = installed(DECODERS)
     for table in facts_of(attachments).settings.values() if plugins else ():
-        bus, node, kind = table.get("bus"), table.get("node_id"), table.get("kind")
+        bus, kind = table.get("bus"), table.get("kind")
+        node = table.get("node_id", table.get("unit"))
         plugin = plugins.get(kind) if isinstance(kind, str) else None
         if plugin is not None and isinstance(bus, str) and isinstance(node, int):
-            decoders.add(bus, node, plugin)
+            decoders.add(bus, node, plugin, table)
     by_file = None if dbc is None else Dbc(dbc)
     if by_file is None:
         return decoders if decoders.count else None
@@ -108,14 +110,23 @@ def _plugin(given: GivenDecoder) -> Plugin:
 class _Decoder:
     """The decoder of one node, which can fail at any time."""
 
-    def __init__(self, node: int, plugin: Plugin, label: str, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        node: int,
+        plugin: Plugin,
+        table: Mapping[str, object] | None,
+        label: str,
+        tell: Callable[[str], None],
+    ) -> None:
         self._node = node
         self._label = label
         self._tell = tell
         self._has_failed = False
         self._decode: Callable[[bytes], object] | None = None
         try:
-            self._decode = plugin.load()(node)
+            build = plugin.load()
+            wants_table = "settings" in inspect.signature(build).parameters
+            self._decode = build(node, settings=table) if wants_table else build(node)
         except (Exception, SystemExit) as error:
             self._fail(error)
 
@@ -168,19 +179,24 @@ class _Decoders:
         """The number of nodes with a decoder."""
         return sum(map(len, self._by_bus.values()))
 
-    def add(self, bus: str, node: int, plugin: Plugin) -> None:
-        """Add a node, unless it has a decoder."""
+    def add(
+        self, bus: str, node: int, plugin: Plugin, table: Mapping[str, object] | None = None
+    ) -> None:
+        """Add a node, unless it has a decoder; `table`: its controller's in the rig."""
         if any(node in self._by_bus.get(where, ()) for where in ("", bus)):
             return
         label = f'decoder "{plugin.name}" of node {node}' + (f" on {bus}" if bus else "")
         nodes = self._by_bus.setdefault(bus, {})
-        nodes[node] = _Decoder(node, plugin, label, self._tell)
+        nodes[node] = _Decoder(node, plugin, table, label, self._tell)
 
     def __call__(self, bus: str, frame: bytes) -> BusMessage | None:
-        """Return the message in a frame; None if no decoder knows it."""
+        """Return the message in a frame; None if no decoder knows it.
+
+        Every decoder of the bus gets the frame: an answer may be understood by its request only.
+        """
+        found: BusMessage | None = None
         for where in (bus, ""):
             for one in self._by_bus.get(where, {}).values():
                 message = one.message(frame)
-                if message is not None:
-                    return message
-        return None
+                found = message if found is None else found
+        return found

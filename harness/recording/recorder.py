@@ -25,6 +25,7 @@ from motorhil.traces.schema import (
     JOINT_STATE,
     LOG,
     MODBUS_ADU,
+    SERIAL_DATA,
     Direction,
     JointStateEncoder,
     Level,
@@ -107,6 +108,7 @@ class Recorder:
         kinds: Mapping[str, str] | None = None,
         period_ns: int = PERIOD_NS,
         lines: Collection[str] = (),
+        plain: Collection[str] = (),
     ) -> None:
         """Record to `writer`, which the recorder closes at the end.
 
@@ -116,13 +118,15 @@ class Recorder:
             period_ns: sampling period of motors while they change [ns]; the controllers' snapshots
                 are
                 expected at the same period.
-            lines: names of the buses that are Modbus lines.
+            lines: names of the buses that are lines.
+            plain: those of them that are not Modbus lines.
         """
         self.error: TraceError | None = None
         self._writer = writer
         self._kinds: dict[str, str] = dict(kinds or {})
         self._period_ns = period_ns
         self._lines = tuple(lines)
+        self._plain = frozenset(plain)
         self._pending: list[Entry] = []
         self._hand_over_ns = 0
         self._due_ns = 0
@@ -165,7 +169,7 @@ class Recorder:
         data: bytes,
         spoiled: bool,
     ) -> None:
-        """Record a complete ADU of `sender` on a Modbus line."""
+        """Record a complete ADU of `sender` on a Modbus line, or its bytes on another line."""
         received = sender in self._kinds or sender == line  # the line's own gateway
         values: dict[str, Value] = {
             "direction": Direction.RECEIVED if received else Direction.TRANSMITTED,
@@ -176,9 +180,12 @@ class Recorder:
         }
         if spoiled:
             values["spoiled"] = True
-        if start_ns == end_ns:
-            values["tcp"] = True
-        self.message(now_ns, f"/modbus/{line}", MODBUS_ADU, values)
+        if line in self._plain:
+            self.message(now_ns, f"/serial/{line}", SERIAL_DATA, values)
+        else:
+            if start_ns == end_ns:
+                values["tcp"] = True
+            self.message(now_ns, f"/modbus/{line}", MODBUS_ADU, values)
         source = self._sources.get((line, sender))
         for motor in () if source is None else source.motors:
             if not motor.active:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.emulators.simulation.serial_network import SerialSegment
 from motorhil.harness.recording.ownership import LockWriter, MotorNames, MotorTap, OwnershipTap
 from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
+from motorhil.harness.rig.config.buses import SERIAL
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.writer import TraceWriter
@@ -104,7 +105,8 @@ def start_recording(
         for name, media_type, data in files:
             writer.attach(name, data, media_type)
         kinds = {name: controller.kind for name, controller in description.controllers.items()}
-        recorder = Recorder(writer, kinds, lines=world.line_names())
+        plain = [name for name, bus in description.buses.items() if bus.kind == SERIAL]
+        recorder = Recorder(writer, kinds, lines=world.line_names(), plain=plain)
         for event in before:
             recorder.event(*event)
         recorder.connect(world.queue.alarm(recorder.poll).set)

@@ -43,7 +43,13 @@ from motorhil.harness.plugins import (
     named,
 )
 from motorhil.harness.rig.bus_load import traffic_of
-from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, BusDescription, address_key
+from motorhil.harness.rig.config.buses import (
+    CAN,
+    MODBUS_RTU,
+    MODBUS_TCP,
+    BusDescription,
+    address_key,
+)
 from motorhil.harness.rig.config.derived import settings_with_model, with_timing
 from motorhil.harness.rig.config.plausibility import doubts_of
 from motorhil.harness.rig.config.rig_file import (
@@ -293,11 +299,12 @@ def add_bus(
         world.add_bus(can, chips)
         return
     line_plan = SerialFaultPlan([one for one in rules if isinstance(one, SerialFaultRule)], random)
-    if bus.kind == MODBUS_RTU:
-        line = SerialLine(bus.name, bus.bitrate_bit_s, bus.parity, bus.stop_bits, line_plan)
-        world.add_serial_line(line, line_plan)
-    else:
+    if bus.kind == MODBUS_TCP:
         world.add_tcp(BytePipe(bus.name, bus.latency_ns, line_plan), line_plan, bus.timeout_ns)
+        return
+    settings = (bus.bitrate_bit_s, bus.parity, bus.stop_bits)
+    line = SerialLine(bus.name, *settings, line_plan, silences=bus.kind == MODBUS_RTU)
+    world.add_serial_line(line, line_plan)
 
 
 def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, int]:
@@ -660,6 +667,7 @@ class Rig:
             self.description.folder,
             self.seed,
             partial(self._memory_files.open, controller.name),
+            self.description.buses[controller.bus].bitrate_bit_s or None,
         )
         plugin = named(CONTROLLERS, controller.kind)
         build = self._plugins.load(plugin, (*place, "kind"))

@@ -2,13 +2,25 @@
 
 An adaptation derives from `Motor` (its hooks: `motorhil.motorapi.hooks`), contains a hardware
 object, and is built by a function that `adaptation` marks. On CAN, `CanDrive` does for the hardware
-object what every drive repeats; `SetpointStream` serves drives without a profile generator.
+object what every drive repeats; `SetpointStream` serves drives without a profile generator. On a
+line, `ExchangeLine` with a `Codec` asks and answers, `LineUnit` has the ownership of one drive, and
+`PolledMotor` follows a drive that makes its profiles and sends nothing by itself.
 
 `VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
 other modules of motorhil may change at any time.
 """
 
-from motorhil.motorapi.api.can_drive import CanDrive, SentFrame, SignOfLife, checked_node
+from motorhil.motorapi.api.can_drive import CanDrive, SignOfLife, checked_node
+from motorhil.motorapi.api.line_exchanges import (
+    ByteLine,
+    Codec,
+    Exchange,
+    ExchangeLine,
+    LineProtocolViolation,
+)
+from motorhil.motorapi.api.line_unit import LineUnit
+from motorhil.motorapi.api.polled_hardware import BOOT_S, Poll, PolledHardware
+from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
@@ -17,6 +29,7 @@ from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
     DeviceFault,
+    LimitError,
     LinkError,
     MotionInterrupted,
     MotorBusyError,
@@ -26,12 +39,14 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
@@ -42,19 +57,27 @@ from motorhil.motorapi.trajectory import (
     TrapezoidalTrajectory,
     asks_for_smoothness,
 )
-from motorhil.settings import REQUIRED, number, text, whole
+from motorhil.settings import REQUIRED, number, text, whole, word
 
 __all__ = [
+    "BOOT_S",
     "REQUIRED",
     "VERSION",
     "BoundFence",
+    "ByteLine",
     "CanDrive",
+    "Codec",
     "ComplexTrajectory",
     "ControlMode",
     "ControlVariable",
     "DeadlineExceeded",
     "DeviceFault",
+    "Exchange",
+    "ExchangeLine",
     "Fault",
+    "LimitError",
+    "LineProtocolViolation",
+    "LineUnit",
     "LinkError",
     "Measurement",
     "Motion",
@@ -69,6 +92,10 @@ __all__ = [
     "Options",
     "PeerError",
     "PeriodicMessage",
+    "Poll",
+    "PolledHardware",
+    "PolledMotor",
+    "ProcessLock",
     "Ramps",
     "Runtime",
     "SentFrame",
@@ -94,4 +121,5 @@ __all__ = [
     "text",
     "wait_until",
     "whole",
+    "word",
 ]

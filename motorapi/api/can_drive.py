@@ -4,10 +4,10 @@ A hardware object contains one `CanDrive`. It registers the physical motor, lock
 between programs, passes received frames on, confirms sent ones, notices the loss of the drive, and
 keeps what the drive was told. It knows no protocol.
 
-Costs: a received frame of the bus costs one look-up per drive; nothing grows with time.
+Costs: a received frame of the bus costs one look-up, however many drives there are; nothing grows
+with time.
 """
 
-from collections import deque
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -22,7 +22,9 @@ from motorhil.motorapi.ownership.physical_motor import (
     release_physical_motor,
 )
 from motorhil.motorapi.runtime.api import ChangeCounter, wait_until
-from motorhil.motorapi.runtime.can_sources import ERROR_FLAG, BusStatus, pack, status_of
+from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
+from motorhil.motorapi.runtime.can_link import bus_label, open_link, release_link
+from motorhil.motorapi.runtime.can_sources import BusStatus, pack
 from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.runtime.wall import runtime_of
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 
     from motorhil.motorapi.ownership.fencing import BoundFence
     from motorhil.motorapi.runtime.api import Registration, Runtime
+    from motorhil.motorapi.runtime.can_link import FrameHandler
 
 DataHandler = Callable[[bytes, int], None]
 """(data of the frame; empty for a remote frame, time when it was complete on the bus [ns])."""
@@ -39,29 +42,8 @@ DataHandler = Callable[[bytes, int], None]
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x4000_0000
 _DATA_AT: Final = 8
-_WAITING_MAX: Final = 256
 _LOOKS: Final = 6  # per timeout of a sign of life
 _CONNECT_ASK_S: Final = 0.1
-
-
-@final
-class SentFrame:
-    """A sent frame.
-
-    Attributes:
-        frame: the can_frame or canfd_frame.
-        time_ns: when it was complete on the bus [ns]; None before that.
-    """
-
-    __slots__ = ("frame", "time_ns")
-
-    def __init__(self, frame: bytes) -> None:
-        self.frame: Final = frame
-        self.time_ns: int | None = None
-
-    def is_of(self, frame: bytes) -> bool:
-        """Return True if this frame was sent, and its transmission is not known yet."""
-        return self.time_ns is None and self.frame == frame
 
 
 @final
@@ -133,18 +115,15 @@ class CanDrive:
         fd: bool = False,
     ) -> None:
         self.runtime: Final = runtime_of(bus) if runtime is None else runtime
-        channel = getattr(bus, "channel", None)
-        place = str(bus.channel_info if channel is None else channel)
-        self.label: Final = f"{place} node {node}"
+        self.label: Final = f"{bus_label(bus)} node {node}"
         self.news: Final = ChangeCounter()
-        self.status: Final[BusStatus] = status_of(bus, place)
         self.is_closed: bool = False
         self.users: int = 0
         self._bus: Final = bus
         self._node: Final = node
         self._flag: Final = _EXTENDED if extended else 0
-        self._handlers: Final[dict[int, DataHandler]] = {}
-        self._waiting: Final[deque[SentFrame]] = deque(maxlen=_WAITING_MAX)
+        self._fd: Final = fd
+        self._handlers: Final[dict[int, FrameHandler]] = {}
         self._signs: Final[list[SignOfLife]] = []
         self._told: Final[dict[Hashable, object]] = {}
         self._told_token = -1
@@ -166,10 +145,12 @@ class CanDrive:
             announce(self.physical.ownership, bus, node)
         self._activities: Final[list[Registration]] = []
         try:
-            self._activities.append(self.runtime.listen(bus, self._on_frame, fd=fd))
+            self._link: Final = open_link(bus, self.runtime, fd=fd)
         except BaseException:
             release_physical_motor(bus, node, owner)
             raise
+        self.status: Final[BusStatus] = self._link.status
+        self._link.on_bus_off.append(self.news.grow)
 
     def close(self, *, at_rest: bool) -> None:
         """Stop sending and receiving; closing again does nothing.
@@ -183,6 +164,10 @@ class CanDrive:
         self.is_closed = True
         for one in self._activities:
             one.cancel()
+        for can_id, handler in self._handlers.items():
+            self._link.unsubscribe(can_id, handler)
+        self._link.on_bus_off.remove(self.news.grow)
+        release_link(self._link)
         release_physical_motor(self._bus, self._node, self._owner)
         self.news.grow()
 
@@ -200,11 +185,17 @@ class CanDrive:
                 handler counts those that may.
         """
 
-        def counted(data: bytes, time_ns: int) -> None:
-            handler(data, time_ns)
-            self.news.grow()
+        def hear(frame: bytes, time_ns: int) -> None:
+            handler(frame[_DATA_AT : _DATA_AT + frame[4]], time_ns)
+            if is_news:
+                self.news.grow()
 
-        self._handlers[can_id | self._flag] = counted if is_news else handler
+        word = can_id | self._flag
+        before = self._handlers.get(word)
+        if before is not None:
+            self._link.unsubscribe(word, before)
+        self._handlers[word] = hear
+        self._link.subscribe(word, hear, fd=self._fd)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
         """Run `action` every `period_s` [s] until `close`; it must not wait."""
@@ -370,16 +361,9 @@ class CanDrive:
         Raises:
             LinkError: not within `timeout_s` [s], or the bus went off.
         """
-        status, offs = self.status, self.status.offs
-        status.check()
-        self.runtime.wait_until(lambda: sent.time_ns is not None or status.offs != offs, timeout_s)
-        if sent.time_ns is not None:
-            return sent.time_ns
-        if status.offs != offs:
-            raise status.failure()
-        reason = f"a frame was not transmitted within {timeout_s:g} s"
-        trouble = status.trouble()
-        raise LinkError(link=self.label, reason=f"{reason}; {trouble}" if trouble else reason)
+        self._link.confirmed((sent,), timeout_s)
+        assert sent.time_ns is not None  # checked by the link
+        return sent.time_ns
 
     def stream_fence(self, purpose: str) -> "BoundFence | None":
         """Return the fence of a stream that begins now; None: no other program can have the motor.
@@ -424,54 +408,9 @@ class CanDrive:
         flags: int | None,
         remote: int | None = None,
     ) -> SentFrame:
-        from can import CanError
-
         self.check_open()
-        self.status.check()
         word = can_id | self._flag | (0 if remote is None else _REMOTE)
-        frame = pack(word, data, flags=flags, remote=remote)
-        sent = SentFrame(frame)
-        self._waiting.append(sent)
-        try:
-            if fence is None:
-                self.runtime.send(self._bus, frame)
-            else:
-                fence.send(frame)
-        except (CanError, OSError) as error:
-            self._waiting.remove(sent)
-            raise LinkError(link=self.label, reason=f"cannot send: {error}") from error
-        except BaseException:
-            self._waiting.remove(sent)
-            raise
-        return sent
-
-    def _on_frame(self, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        word = int.from_bytes(frame[:4], "little")
-        if transmitted:
-            self._note_sent(frame, time_ns)
-            return
-        handler = self._handlers.get(word)
-        if handler is not None:
-            handler(frame[_DATA_AT : _DATA_AT + frame[4]], time_ns)
-        elif word & ERROR_FLAG:
-            self._hear_controller(frame, time_ns)
-
-    def _note_sent(self, frame: bytes, time_ns: int) -> None:
-        """Note the transmission of a frame of this bus object, perhaps of another drive's."""
-        self.status.sent()
-        for sent in self._waiting:
-            if sent.is_of(frame):
-                sent.time_ns = time_ns
-                self._waiting.remove(sent)
-                return
-
-    def _hear_controller(self, message: bytes, time_ns: int) -> None:
-        """Handle an error message of the own CAN controller, which is not a frame from the bus."""
-        status, offs = self.status, self.status.offs
-        status.hear(message, time_ns)
-        if status.offs != offs:
-            self._waiting.clear()
-            self.news.grow()
+        return self._link.send_tracked(pack(word, data, flags=flags, remote=remote), fence)
 
     def _look(self, sign: SignOfLife) -> None:
         if sign.has_just_ended(self.runtime.now_ns()):

@@ -53,7 +53,7 @@ def adaptation(
     Args:
         api: the version of `motorhil.motorapi.api` that the adaptation was written for.
         rig: the rig for its conformance check, a path relative to the folder of its module.
-        bus_kinds: the kinds of buses that it builds for: can, modbus_rtu, modbus_tcp.
+        bus_kinds: the kinds of buses that it builds for: can, modbus_rtu, modbus_tcp, serial.
         needs_bus: False if its motors are on no bus; `build` then gets None for it.
     """
     marks = {"api_version": api, "bus_kinds": tuple(bus_kinds), "needs_bus": needs_bus}

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.motorapi.errors import MotorError
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.api.can_drive import CanDrive, SentFrame
+    from motorhil.motorapi.api.can_drive import CanDrive
     from motorhil.motorapi.ownership.fencing import BoundFence
     from motorhil.motorapi.runtime.api import Registration
+    from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 
 SendSetpoint = Callable[[float, "BoundFence | None"], "SentFrame"]
 """(value, fence for `CanDrive.command`): send one set-point."""

@@ -14,9 +14,10 @@ from motorhil.motorapi.generation import ProfileLimits, trapezoid
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.api.can_drive import CanDrive, SentFrame
+    from motorhil.motorapi.api.can_drive import CanDrive
     from motorhil.motorapi.errors import MotorError
     from motorhil.motorapi.motion import Motion
+    from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 
 _STEP_S: Final = 1e-4  # over which a rate is found
 

@@ -20,7 +20,9 @@ behind it.
 No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
 advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The
 byte of an earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a
-commanding write requires a shared lock of WRITING, an epoch change an exclusive one.
+commanding write requires a shared lock of WRITING, an epoch change an exclusive one. So does an
+acquisition: with WRITING shared, it checks the epoch and locks the byte below HELD, which makes it
+the holder. HELD alone is an attempt, which a takeover under way defeats.
 
 A release is announced with the token before it happens. A lock without this announcement was held
 by a process that died.
@@ -35,7 +37,7 @@ Locked bytes (never written):
 
 Written bytes, in blocks of 512:
 
-    0           header: magic, check value, epoch, the first valid place, the epoch being ended
+    0           header: magic, check value, epoch, the first valid place
     1 to 16     one per line: present or last holder, its lease, the last released token
     17 to 144   waiters, by place
     145 to 160  takeovers, by the lost token
@@ -78,15 +80,16 @@ RECORD_SIZE: Final = _HEAD.size + _TAIL.size + _CHECK.size
 NUMBER: Final = struct.Struct("<Q")
 
 EPOCH_AT: Final = 488
-"""Offset of the epoch, followed by the first valid place and the epoch being ended."""
+"""Offset of the epoch, followed by the first valid place."""
 _EPOCH: Final = struct.Struct("<QQ")
 _CHECKED_AT: Final = EPOCH_AT - 8
 """Offset of the check value of epoch and first place, which are before the epoch."""
 _CHECKED: Final = struct.Struct("<QQQ")
 _READS_MAX: Final = 100
 """The number of reads before an epoch counts as damaged: a read can meet a write."""
-HEADER: Final = struct.Struct("<QQQ")
-INTENT_AT: Final = EPOCH_AT + 16
+_HEADER_SIZE: Final = BLOCK - EPOCH_AT
+UNPUBLISHED: Final = 1
+"""The token in the lock of a holder that has not published its own yet."""
 
 RELEASED_AT: Final = 0
 """In the block of a line: the last released token."""
@@ -307,8 +310,9 @@ _DROP: Final = tuple(flock(fcntl.F_UNLCK, held_at(line), 3) for line in range(LI
 _WRITE: Final = tuple(flock(fcntl.F_RDLCK, held_at(line) + 2, 1) for line in range(LINES))
 _WRITE_ALONE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) + 2, 1) for line in range(LINES))
 _WRITTEN: Final = tuple(flock(fcntl.F_UNLCK, held_at(line) + 2, 1) for line in range(LINES))
-_NOTHING: Final = (0, 0, 0)  # epoch, first place and intent of a new file
-_LAST_SIZE: Final = HEADER.size + _LINE.size
+_NO_EPOCH: Final = bytes(NUMBER.size)  # of a new file
+_CONFIRM: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) - 1, 1) for line in range(LINES))
+_LAST_SIZE: Final = _HEADER_SIZE + _LINE.size
 
 _forking: Final = threading.Lock()
 """Guard against a fork between the opening of a file and its registration here."""
@@ -489,29 +493,23 @@ class LockFile:
     def _take(self, which: tuple[bytes, ...]) -> bool:
         """Lock HELD of the present epoch. Return True on success."""
         while True:
-            epoch = self.epoch
-            number = epoch % LINES
-            if not self._try(which[number]):
-                if not self.look_up():
-                    return False
-                continue
-            data = os.pread(self._fd, _LAST_SIZE + BLOCK * number, EPOCH_AT)
-            now, _, intent = HEADER.unpack_from(data) if len(data) >= HEADER.size else _NOTHING
-            if now == epoch and (intent != epoch + 1 or self._is_intent_left_over(number)):
-                self._last = last_of(data, HEADER.size + BLOCK * number)
-                return True
-            self._try(_DROP[number])  # the epoch advanced before we had the lock
+            number = self.epoch % LINES
+            if self._try(which[number]):
+                if self._try(_WRITE[number]) and self._become_holder(number):
+                    return True
+                self._try(_DROP[number])  # a takeover is under way, or was quicker
             if not self.look_up():
                 return False
 
-    def _is_intent_left_over(self, number: int) -> bool:
-        """Return True if the process with the intent died before it advanced the epoch.
-
-        The order matters: a takeover that ends in between has advanced the epoch before it unlocked
-        the byte.
-        """
-        is_being_taken = find(self._fd, fcntl.F_RDLCK, held_at(number) + 2, 1) is not None
-        return not is_being_taken and self.is_current
+    def _become_holder(self, number: int) -> bool:
+        """Become the holder, with HELD and WRITING locked; False: the epoch is over."""
+        data = os.pread(self._fd, _LAST_SIZE + BLOCK * number, EPOCH_AT)
+        if (data[: NUMBER.size] or _NO_EPOCH) != self._epoch_bytes:
+            return False
+        self._last = last_of(data, _HEADER_SIZE + BLOCK * number)
+        self._try(_CONFIRM[number])
+        self._try(_WRITTEN[number])
+        return True
 
     def wait_before(self, place: int) -> None:
         """Wait, without a timeout, until no process is before the place."""

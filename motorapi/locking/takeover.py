@@ -1,11 +1,9 @@
 """Takeover of a lock from a living process, by an advance of the epoch.
 
     lock WRITING of this epoch, exclusively     fails if the holder writes, or during a takeover
+    check again: this epoch, its lease still expired
     write the new and the former holder         so that waiters can name the new one
-    write the intent                            an ordinary acquisition looks for it
-    check again: this epoch, this token, its lease still expired
-    lock HELD and MARK of the next free epoch
-    write the new and the former holder
+    lock HELD and MARK of the next free epoch, and write its line
     write the epoch                             this advances it; no earlier step had an effect
     unlock WRITING
 
@@ -13,9 +11,9 @@ If the process dies before the epoch is written, nothing has changed. If it dies
 lock that a dead process has not released, which the next process handles as usual.
 
 The holder is not in a write section, and begins none, from the first step to the last. So the write
-sections of one epoch end before the next epoch begins. A holder that releases the lock meanwhile
-succeeds, and finds nothing lost: no other process gets it in the ordinary way until the epoch has
-advanced.
+sections of one epoch end before the next epoch begins. Nobody becomes the holder meanwhile: whoever
+has locked HELD without the byte below it drops it again. A holder that releases the lock meanwhile
+succeeds, and finds nothing lost.
 """
 
 import fcntl
@@ -26,12 +24,12 @@ from typing import Final, final
 
 from motorhil.motorapi.locking.lock_file import (
     BLOCK,
-    INTENT_AT,
     LEASE,
     LINES,
     MAGIC,
     NUMBER,
     PLACES,
+    UNPUBLISHED,
     Line,
     LockFile,
     Record,
@@ -104,13 +102,10 @@ class TakeoverAttempt:
         try:
             if not file.is_current:
                 return Attempt.TAKING  # another process has just taken it over
-            self._say_who(old)
-            os.pwrite(file.fd, NUMBER.pack(old + 1), INTENT_AT)
             seen = self._find_due()
             if seen is None:
+                self._say_who(old)
                 seen = self._move_on(old)
-            if seen is not Attempt.TAKEN:
-                os.pwrite(file.fd, NUMBER.pack(0), INTENT_AT)
             return seen
         finally:
             fcntl.fcntl(file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, held_at(old) + 2, 1))
@@ -120,7 +115,7 @@ class TakeoverAttempt:
         file = self._file
         held, line = held_at(file.epoch), file.line()  # a token not in the line yet is in the lock
         found = find(file.fd, fcntl.F_RDLCK, held, 1)
-        if found is None:
+        if found is None or found[0] == held:  # free, or locked by an attempt
             return Attempt.FREE
         self._first_byte = found[0]
         told = held - found[0]
@@ -129,7 +124,7 @@ class TakeoverAttempt:
         ):
             return Attempt.NOT_DUE
         self._line = line
-        self.lost = told or self._next(line)
+        self.lost = self._next(line) if told == UNPUBLISHED else told
         return None
 
     @staticmethod
@@ -150,7 +145,7 @@ class TakeoverAttempt:
                 break
         else:
             return Attempt.FULL
-        self._write(old, new)
+        self._write(new)
         write_epoch(file.fd, new, base)
         file.look_up()
         return Attempt.TAKEN
@@ -176,9 +171,8 @@ class TakeoverAttempt:
             return False
         return True
 
-    def _write(self, old: int, new: int) -> None:
+    def _write(self, new: int) -> None:
         """Write all data of the new epoch, before the epoch advances."""
-        self._say_who(old)
         fd, token, held = self._file.fd, self.token, held_at(new)
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, flock(fcntl.F_WRLCK, held - token, token))
         told = NUMBER.pack(0) + self._lease + self._describe(token, None)

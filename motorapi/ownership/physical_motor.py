@@ -196,8 +196,11 @@ class PhysicalMotor:
         return latest
 
     def stop_deceleration(self, of_model: float) -> float:
-        """Return the deceleration of a stop now [U/s²]: that of the motion, else of the model."""
-        motion = None if self.run is None else self.run.motion
+        """Return the deceleration of a stop now [U/s²]: that of the motion, else of the model.
+
+        A quick stop that only this record knows is at that of the model.
+        """
+        motion = None if self.run is None or self.is_quick_stopped else self.run.motion
         if motion is None or motion.variable not in (
             ControlVariable.POSITION,
             ControlVariable.VELOCITY,

@@ -87,7 +87,8 @@ INTERPRETED = {
 # Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
 FOLDERS = (
     *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
-    *("emulators/oriental_az", "emulators/rmd", "emulators/settings", "emulators/vesc"),
+    *("emulators/moteus", "emulators/oriental_az", "emulators/settings"),
+    *("emulators/dynamixel", "emulators/mit", "emulators/rmd", "emulators/vesc"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
@@ -98,6 +99,8 @@ FOLDERS = (
     *("harness/sharing_tests", "harness/virtual_time/stdlib"),
     *("motorapi", "motorapi/adaptations", "motorapi/adaptations/ideal", "motorapi/api"),
     *("motorapi/adaptations/leadshine", "motorapi/adaptations/modbus"),
+    *("motorapi/adaptations/dynamixel", "motorapi/adaptations/moteus"),
+    *("motorapi/adaptations/rmd", "motorapi/adaptations/vesc"),
     *("motorapi/adaptations/oriental_az", "motorapi/functions", "motorapi/generation"),
     *("motorapi/locking", "motorapi/ownership", "motorapi/planning", "motorapi/synchronization"),
     *("traces/decoding", "traces/exchange", "traces/formats", "traces/semantics"),

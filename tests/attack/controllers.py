@@ -14,7 +14,7 @@ from functools import partial
 from random import Random
 from typing import Final, final
 
-from motorhil.emulators.can.frame import RTR_FLAG
+from motorhil.emulators.can.frame import EFF_FLAG, FD_LENGTHS, RTR_FLAG, data_of, pack, pack_fd
 from motorhil.emulators.cia401.node import IoNode
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.drive import build as build_drive
@@ -23,6 +23,7 @@ from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
 from motorhil.emulators.media.byte_pipe import BytePipe
 from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.modbus.tcp import adu
+from motorhil.emulators.moteus.drive import build as build_moteus
 from motorhil.emulators.oriental_az.drive import build as build_oriental
 from motorhil.emulators.rmd.drive import build as build_rmd
 from motorhil.emulators.simulation.event_queue import EventQueue
@@ -47,7 +48,7 @@ UNIT: Final = 1
 REPLY_BY_NS: Final = 50 * MS
 _PAUSES_NS: Final = (0, 0, 1, 300_000, 2 * MS, 5 * MS, 20 * MS)
 _FUNCTIONS: Final = (0x03, 0x03, 0x06, 0x06, 0x10, 0x10, 0x17, 0x08, 0x2B, 0x01, 0x04)
-_VALUES: Final = (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF)
+_VALUES: Final = tuple(one.to_bytes(2) for one in (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF))
 _INPUTS: Final = (
     *(("fault", 0x2310), ("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", 0.0)),
     *(("supply_v", 24.0), ("supply_v", 5.0), ("power", 0.0), ("power", 1.0), ("encoder", 0.0)),
@@ -167,13 +168,61 @@ def attack_node(build: Callable[[], Controller], seed: str, own: int = NODE) -> 
     return Done(EPISODE, bare.digest.digest(), reached)
 
 
+_SUBFRAMES: Final = tuple(
+    map(
+        bytes.fromhex,
+        (
+            *("01000a", "010000", "01000c", "01000f", "010009", "01000d", "0e20000000400000803f"),
+            *("0d20", "0d270000c07f", "0f28000040400000004000000000", "04042000", "1100", "1f01"),
+            *(
+                "130d",
+                "1d38",
+                "1a8102",
+                "14201e",
+                "18ff7f20",
+                "0db102",
+                "01b30201",
+                "09d402",
+                "0d2900000000",
+            ),
+            *("400107642073746f700a", "420130", "30", "50", "43010000", "0e40000080bf0000803f"),
+        ),
+    )
+)
+
+
+def attack_moteus(seed: str) -> Done:
+    """Send subframes, complete and damaged, to a moteus; then stop it and read its mode."""
+    dice = Random(seed)
+    bare = Bare(build_moteus({"node_id": NODE, "plant": LIGHT}, _context()))
+    for _ in range(EPISODE):
+        bare.run(dice.choice(_PAUSES_NS))
+        if dice.random() < 0.01:
+            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 38.0))))
+        data = b"".join(dice.choice(_SUBFRAMES) for _ in range(dice.randrange(6)))
+        data = (damaged(dice, data) if data else dice.randbytes(5))[: FD_LENGTHS[-1]]
+        length = min(one for one in FD_LENGTHS if one >= len(data))
+        can_id = dice.choice((0x8000, 0x8000, 0x0000, 0x0300)) | dice.choice((NODE, NODE, 0x7F, 1))
+        can_id |= EFF_FLAG if can_id > 0x7FF else 0
+        is_classical = length <= 8 and dice.random() < 0.5
+        bare.tell(pack(can_id, data) if is_classical else pack_fd(can_id, data.ljust(length, b"P")))
+    reached = Counter(answers=len(bare.sent))
+    bare.stimulate("power", 1.0)
+    bare.run(1_000 * MS)
+    bare.tell(pack(NODE, bytes.fromhex("010000")))
+    bare.sent.clear()
+    bare.tell(pack(EFF_FLAG | 0x8000 | NODE, bytes.fromhex("1100")))
+    assert [data_of(one) for one in bare.sent] == [bytes.fromhex("210000")]
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
 def pdus(dice: Random, addresses: list[int]) -> Iterator[bytes]:
     """Yield requests around the addresses of a drive, valid ones and invalid ones."""
     while True:
         function = dice.choice(_FUNCTIONS) if dice.random() < 0.97 else dice.randrange(256)
         address = (dice.choice(addresses) + dice.choice((0, 0, 0, 1))) & 0xFFFF
         count = dice.choice((1, 1, 2, 4, 125))
-        values = b"".join(dice.choice(_VALUES).to_bytes(2, "big") for _ in range(count))
+        values = b"".join(_VALUES[byte & 7] for byte in dice.randbytes(count))
         head = bytes((function,)) + address.to_bytes(2, "big")
         if function == 0x06:
             yield head + values[:2]
@@ -305,6 +354,7 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         "cia402": partial(attack_node, _drive),
         "cia401": partial(attack_node, _io_node),
         "recorded": partial(attack_node, partial(_recorded, "cia402.mcap", node_id=1), own=1),
+        "moteus": attack_moteus,
     }
     vesc = partial(build_vesc, {"node_id": NODE, "status_1": 63}, _context())
     ping, pong = frame(0x8000_1105, b"\xfd"), frame(0x8000_12FD, b"\x05\0")

@@ -215,6 +215,17 @@ def test_adaptation_with_own_rig_is_tested_on_it():
     assert Target(Job(MISBEHAVING)).rig.source.path.samefile(RIGS / "ideal.toml")
 
 
+def test_refused_homing_is_not_claimed_and_faults_are_assumed(capfd, tmp_path):
+    words = ("--adaptation", "tests.support.misbehaving_motors:homeless", "-o", str(tmp_path))
+    assert main(["conform", *words, "--clause", "HOME-01", "--clause", "HOME-02"]) == 0
+    told = capfd.readouterr().out
+    assert "HOME-01   not applicable" in told
+    assert "HOME-02   passed" in told
+    (claimed,) = re.findall("(?m)^claimed: (.*)", told)
+    assert not {"homing", "faults", "dead_man"}.intersection(claimed.split(", "))
+    assert re.search("(?m)^assumed, unless the rig denies it: faults$", told)
+
+
 def test_record_folder_that_cannot_be_created_is_reported(tmp_path, capfd):
     rig = tmp_path / "rig.toml"
     rig.write_text((RIGS / "cia402.toml").read_text().replace(*TIGHT))

@@ -17,7 +17,8 @@ from motorhil.motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTraject
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.checkout import CHECKOUT
-from tests.support.motors.kinds import BUS, EVERY, GROUP, MODEL
+from tests.support.kit_benches import RIGS
+from tests.support.motors.kinds import EVERY
 
 FOLDER = CHECKOUT / "traces" / "golden"
 INDEX = FOLDER / "INDEX.md"
@@ -68,22 +69,6 @@ def on_tcp(text: str) -> str:
     return text.replace(line, 'kind = "modbus_tcp"')
 
 
-def two(kind: str, drive: str, motor: str = "") -> str:
-    """Return two motors of this kind on a CAN bus, with these settings on either side."""
-    text = BUS
-    for number, name in enumerate(("left", "right"), 1):
-        text += (
-            f'[controller.{name}]\nkind = "{kind}"\nbus = "can0"\nnode_id = {number}\n{drive}'
-            'plant = { preset = "wheel_60w" }\n'
-            f'[motor.{name}]\nadaptation = "{kind}"\ncontroller = "{name}"\n{motor}'
-            f"[motor.{name}.model]\n{MODEL}"
-        )
-    return text + GROUP
-
-
-_SPAN = "position_divider = 8.0\nerpm_min = 10.0\n"
-_VESC = f"{_SPAN}status_1 = 25\nstatus_rate_1_hz = 100\nposition_kp = 0.2\nposition_kd = 0.0028\n"
-
 GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     "cia402": ("two CiA 402 drives", EVERY["cia402"].rig(), algorithms),
     "overload": ("a CiA 402 drive that loses its position", EVERY["cia402"].rig(), overload),
@@ -94,8 +79,11 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     ),
     "leadshine": ("two PR-mode drives on a serial line", EVERY["leadshine"].rig(), algorithms),
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
-    "vesc": ("two VESCs", two("vesc", _VESC, _SPAN), algorithms),
-    "rmd": ("two RMDs", two("rmd", "interruption_ms = 300\n"), algorithms),
+    **{
+        name: (what, (RIGS / f"{name}.toml").read_text(), algorithms)
+        for name, what in (("vesc", "two VESCs"), ("rmd", "two RMDs"))
+    },
+    "moteus": ("two moteus controllers on CAN FD", (RIGS / "moteus.toml").read_text(), algorithms),
     "oriental_az": ("two AZ drivers on a serial line", EVERY["oriental_az"].rig(), algorithms),
 }
 """By name: description, rig, application."""

@@ -13,6 +13,7 @@ from pathlib import Path
 import can
 
 from motorhil.harness.conformance import examination as target
+from motorhil.motorapi import UnsupportedError
 from motorhil.motorapi.adaptations.ideal import motor as ideal
 from motorhil.motorapi.locking.process_lock import ProcessLock
 
@@ -48,6 +49,20 @@ def kind(bus, settings, model, runtime):
 
 async def promised(bus, settings, model, runtime):
     return ideal.build(bus, settings, model, runtime)
+
+
+def homeless(bus, settings, model, runtime):
+    motor = ideal.build(bus, settings, model, runtime)
+
+    def refuse(method):
+        raise UnsupportedError(motor=motor.name, feature="homing")
+
+    motor._home = refuse
+    return motor
+
+
+homeless.needs_bus = False
+homeless.conformance_rig = RIG
 
 
 def shy(bus, settings, model, runtime):

@@ -9,13 +9,13 @@ nodes with an EDS of their own:
     file = "1a2b3c4d.eds"   # attached as well
 """
 
-import tomllib
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import tau
 from typing import Any, Final, final
 
+from motorhil.settings import parse_toml
 from motorhil.traces.decoding.objects import ObjectNames
 from motorhil.traces.mcap.records import Attachment
 
@@ -264,7 +264,7 @@ def _by_gear(model: Table, unit: str) -> float | None:
 
 def _toml(data: bytes) -> Table | None:
     try:
-        return tomllib.loads(data.decode())
+        return parse_toml(data.decode())
     except (ValueError, RecursionError):  # not TOML, a number of 5,000 digits, nested too deeply
         return None
 

@@ -22,6 +22,7 @@ from motorhil.traces.schema import (
     LOG,
     MODBUS_ADU,
     MOTOR_LOCK,
+    SERIAL_DATA,
     Direction,
     FrameDecoder,
     Level,
@@ -209,6 +210,8 @@ class Story:
                 return self._can(time_ns, topic, place, payload)
             if schema == MODBUS_ADU.name:
                 return self._modbus(time_ns, topic, place, decode(MODBUS_ADU, payload))
+            if schema == SERIAL_DATA.name:
+                return self._serial(time_ns, topic, place, decode(SERIAL_DATA, payload))
             if schema in _PLAIN:
                 table, tell = _PLAIN[schema]
                 fields = decode(table, payload)
@@ -272,6 +275,16 @@ class Story:
             self.names.nodes.setdefault((name, adu.unit), sender)
         said = decoder.decode(adu)
         return Line(time_ns, topic, name, said.text, said, None, self._about(name, said.node))
+
+    def _serial(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
+        data = fields.get("data", b"")
+        assert isinstance(data, bytes)
+        message = None if self._describe is None else self._describe(name, data)
+        text = data.hex(" ").upper() if message is None else str(message)
+        text = f"a collision: {text}" if fields.get("spoiled") else text
+        node = None if message is None else message.node
+        about = self._about(name, node)
+        return Line(time_ns, topic, name, text, names=about, message=message)
 
     def _about(self, bus: str, node: int | None) -> tuple[str, ...]:
         """Return the motor and the controller of a node."""

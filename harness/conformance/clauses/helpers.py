@@ -129,6 +129,19 @@ def follow(
     motor.start()
 
 
+def begin_move(bench: RigProtocol, motor: Motor, way: float, time_s: float) -> float:
+    """Enable the motor, begin a move by this distance, and let this time [s] of it pass.
+
+    Returns:
+        The position before [U].
+    """
+    motor.enable()
+    before = position_of(bench, motor)
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, time_s)
+    return before
+
+
 def aim(
     motor: Motor, target: float, relative: bool = False, limits: DerivativeLimits | None = None
 ) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    begin_move,
     elapsed_s,
     expect_moved,
     expect_raises,
@@ -143,9 +144,7 @@ def any_user_may_read_and_stop(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     way = 2.0 * long_move(bench)
     for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
-        begin = position_of(bench, motor)
-        follow(motor, TrapezoidalTrajectory(way))
-        rest_for(bench, midway_s(motor, way, 0.3))
+        begin = begin_move(bench, motor, way, midway_s(motor, way, 0.3))
         difference = abs(other.position() - motor.position())
         expect(
             difference <= 0.1 * motor.model.velocity_max,
@@ -251,8 +250,7 @@ def next_user_gets_motor_at_rest(bench: RigProtocol) -> None:
     """While a motor slows down, no other user gets it; the next one gets it at rest."""
     motor, other = _both(bench)
     way = 3.0 * long_move(bench)
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, 0.4 * shortest_s(motor, way))
+    begin_move(bench, motor, way, 0.4 * shortest_s(motor, way))
     reached(abs(speed(bench, motor, 0.02)) > 0.3 * motor.model.velocity_max, "motion at full speed")
     motor.stop()
     with other.reserve("next", timeout_s=_PATIENCE_S):
@@ -483,8 +481,7 @@ def readers_at_once_get_own_answers(bench: RigProtocol) -> None:
             for _ in range(_READINGS):
                 other.following_error()
 
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, 0.3 * expected_s)
+    begin_move(bench, motor, way, 0.3 * expected_s)
     reads: list[Callable[[], None]] = [partial(read_positions, watch) for watch in watches]
     reads += [partial(read_velocities, motor), partial(read_velocities, other), read_errors]
     parties = [bench.runtime.spawn(f"reader {n + 1}", read) for n, read in enumerate(reads)]

@@ -468,6 +468,19 @@ class Drive:
             return None
         return slope(part) / self.units().acceleration
 
+    def sped_up(self, pace: Pace) -> float | None:
+        """Watch the motor speed up from rest, in either direction.
+
+        Returns:
+            The slope of 606Ch [acceleration units]; None: faster than the bus shows.
+        """
+        full = pace.velocity
+        track = self.watch(
+            od.VELOCITY, lambda one: abs(one.value) >= 0.95 * full, 6.0 * pace.ramp_s + 0.5
+        )
+        part = [one for one in track if 0.2 * full < abs(one.value) < 0.8 * full]
+        return slope(part) / self.units().acceleration if len(part) >= _FEW else None
+
     def expect_ramp(self, found: float | None, ramp: int, what: str, source: str) -> None:
         """Expect a measured deceleration within 20 % of a ramp's."""
         seen = "faster than the bus shows" if found is None else f"{found:.0f}"

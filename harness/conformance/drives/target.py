@@ -40,12 +40,17 @@ class DriveTarget:
 
     def __init__(self, job: Job) -> None:
         described = describe(Path(job.rig) if job.rig else OWN_RIG)
-        if job.controller not in described.controllers:
-            known = list(described.controllers)
+        found = described.controllers
+        if job.controller not in found:
+            known = list(found)
             remedy = nearest(job.controller, known)
             if not remedy.startswith("did"):
-                remedy = f"name one of {listed(known)}"
-            problem = f"{described.source.path} has no such controller"
+                remedy = f"use --controller {known[0]}, or a rig of yours: --rig RIG"
+                if job.rig:
+                    remedy = f"use a name, such as --controller {known[0]}"
+            kinds = [f"{name} (of the kind {one.kind})" for name, one in found.items()]
+            place = f"{described.source.path}" if job.rig else "the kit's own rig"
+            problem = f"{place} has no such controller; it has {listed(kinds)}"
             raise RigError(f"--controller {job.controller}", problem, remedy)
         facts = replace(described.conformance, motors=(job.controller,))
         self.rig: Final = replace(described, conformance=facts)

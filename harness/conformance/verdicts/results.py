@@ -45,6 +45,7 @@ from motorhil.harness.conformance.verdicts.causes import (
     more_of,
     told_in_full,
 )
+from motorhil.harness.rig.config.conformance import Capability
 
 _NS: Final = 1e9
 _ODD: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -77,6 +78,9 @@ td:nth-child(1), td:nth-child(3) { white-space: nowrap }
 """
 
 
+_ASSUMED: Final = frozenset(one.key for one in Capability if one.is_assumed)
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -96,6 +100,21 @@ class Outcome:
     first_verdict_s: float
     took_s: float
     not_met: tuple[str, ...] = ()
+
+    @property
+    def claimed(self) -> list[str]:
+        """The capabilities that the motors, or the rig, claim; the modes of a drive."""
+        return self._claimed(is_assumed=False)
+
+    @property
+    def assumed(self) -> list[str]:
+        """The capabilities that count as claimed, as no motor can be asked for them."""
+        return self._claimed(is_assumed=True)
+
+    def _claimed(self, *, is_assumed: bool) -> list[str]:
+        claims = self.claims or {}
+        found = [name for name, why_not in claims.items() if not why_not]
+        return [name for name in found if (name in _ASSUMED) is is_assumed]
 
     def count(self, result: Result) -> int:
         """Return the number of clauses with this result."""
@@ -213,7 +232,7 @@ seed {loaded.seed}: {_text(counts)}.</p>
 <table><tr><th>clause</th><th>promise and observation</th><th>verdict</th><th>at</th></tr>
 {rows}
 </table>
-{_claims(outcome.claims)}
+{_claims(outcome)}
 </body></html>
 """
 
@@ -289,12 +308,13 @@ def _row(one: Finding, folder: Path) -> str:
     )
 
 
-def _claims(claims: Mapping[str, str] | None) -> str:
-    if claims is None:
+def _claims(outcome: Outcome) -> str:
+    if outcome.claims is None:
         return ""
+    words = dict.fromkeys(outcome.assumed, "assumed")
     rows = "".join(
-        f"<tr><td>{_text(name)}</td><td>{_text(why_not or 'claimed')}</td></tr>"
-        for name, why_not in claims.items()
+        f"<tr><td>{_text(name)}</td><td>{_text(why_not or words.get(name, 'claimed'))}</td></tr>"
+        for name, why_not in outcome.claims.items()
     )
     return f"<h2>Claims</h2><table>{rows}</table>"
 

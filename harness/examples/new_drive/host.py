@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 from motorhil.motorapi.api import (
     REQUIRED,
     CanDrive,
-    DeviceFault,
     Fault,
     LinkError,
     Measurement,
@@ -62,7 +61,7 @@ _COMMAND: Final = Struct("<BBxxi")
 _SPEED: Final = Struct("<I")
 _RAMPS: Final = Struct("<II")
 OFF, ON, FAULT = 0, 1, 2
-_STATES: Final = (MotorState.DISABLED, MotorState.ENABLED, MotorState.FAULT)
+_STATES: Final = {OFF: MotorState.DISABLED, ON: MotorState.ENABLED, FAULT: MotorState.FAULT}
 SWITCH_OFF, SWITCH_ON, MOVE, STOP, CLEAR = range(5)
 NODE_ID_MAX: Final = 0x3F
 STEPS: Final = 65536  # per turn of the motor
@@ -242,7 +241,7 @@ class MydriveHwMotor:
         return _COMMAND.pack(code, self.told, target)
 
     def _on_status(self, data: bytes, time_ns: int) -> None:
-        if len(data) != _STATUS.size:
+        if len(data) != _STATUS.size or data[0] not in _STATES:
             return
         state, told, is_moving, fault = _STATUS.unpack(data)
         before = self.status
@@ -300,7 +299,7 @@ class MydriveMotor(Motor):
             STEPS * model.gear_ratio / (tau if model.kind is MotionKind.ROTARY else 1.0)
         )
 
-    # 5. The six that make a motor.
+    # 5. The six hooks that make a motor, in the order in which the kit needs them.
 
     def _connect(self) -> None:
         self._hardware.connect()
@@ -336,7 +335,7 @@ class MydriveMotor(Motor):
         self._hardware.set_ramp_to_stop(max(1, round(size * abs(self._steps))))
         self._hardware.tell_anyway(STOP)
 
-    # 6. Capabilities. What is not here, the kit does not ask for.
+    # 6. Capabilities: hooks with a default. What the drive lacks, the kit does not ask for.
 
     def _quantise(self, motion: Motion) -> Motion:
         size = abs(self._steps)
@@ -352,7 +351,7 @@ class MydriveMotor(Motor):
             deceleration=down(motion.deceleration),
         )
 
-    def _read_fault(self) -> Fault | None:
+    def _latest_fault(self) -> Fault | None:
         return self._hardware.fault()
 
     def _reset_fault(self) -> None:
@@ -362,9 +361,7 @@ class MydriveMotor(Motor):
     def _check_fault(self) -> None:
         fault = self._hardware.fault()
         if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
 
     # 7. The hardware itself, for applications that need more than a motor.
 

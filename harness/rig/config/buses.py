@@ -1,4 +1,4 @@
-"""`[bus.NAME]` tables of a rig: CAN buses and Modbus lines.
+"""`[bus.NAME]` tables of a rig: CAN buses, Modbus lines and other serial lines.
 
 The keys are declared here; `docs/reference/rig-file.md` lists them.
 """
@@ -36,13 +36,17 @@ if TYPE_CHECKING:
 CAN: Final = "can"
 MODBUS_RTU: Final = "modbus_rtu"
 MODBUS_TCP: Final = "modbus_tcp"
-BUS_KINDS: Final = (CAN, MODBUS_RTU, MODBUS_TCP)
-LINES: Final = (MODBUS_RTU, MODBUS_TCP)
+SERIAL: Final = "serial"
+"""A serial line whose protocol delimits its packets itself, such as Dynamixel's."""
+BUS_KINDS: Final = (CAN, MODBUS_RTU, MODBUS_TCP, SERIAL)
+LINES: Final = (MODBUS_RTU, MODBUS_TCP, SERIAL)
 PARITIES: Final = ("E", "O", "N")
 BY_COMMAND: Final = "command"
 
 NODE_MAX: Final = 127
 UNIT_MAX: Final = 247
+ID_MAX: Final = 252
+"""The highest unit on a serial line that is not a Modbus line."""
 
 _SECOND_NS: Final = 1_000_000_000
 
@@ -124,21 +128,22 @@ class CanNodeTable:
         )
 
 
-def _of(kind: str, keys: tuple[str, ...]) -> Rule:
+def _of(keys: tuple[str, ...], *kinds: str) -> Rule:
+    named = " or ".join(f'"{kind}"' for kind in kinds)
     return Rule(
         "kind",
-        (kind,),
+        kinds,
         otherwise=True,
         refused=keys,
-        message=f'belongs to kind "{kind}"',
-        remedy=f'take it out, or write kind = "{kind}"',
+        message=f"belongs to kind {named}",
+        remedy=f"take it out, or write kind = {named}",
     )
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class BusTable:
-    """A CAN bus, a serial line that speaks Modbus RTU, or a gateway to Modbus controllers."""
+    """A CAN bus, a serial line (Modbus RTU, or others), or a gateway to Modbus controllers."""
 
     kind: str = word(CAN, BUS_KINDS, "bus kind", "Its kind.")
     bitrate_bit_s: int | None = whole(
@@ -172,7 +177,9 @@ class BusTable:
     baud_bit_s: int = whole(
         19_200, 300, 10_000_000, "bit/s", "Bit rate of the line.", plausible=(1200, 10_000_000)
     )
-    parity: str = word("E", PARITIES, "parity", "Even, odd or none.")
+    parity: str | None = word(
+        None, PARITIES, "parity", "Even, odd or none; absent: E on modbus_rtu, N on serial."
+    )
     stop_bits: int = whole(1, 1, 2, "", "Stop bits of a character.")
     latency_s: float = number(
         50e-6, 0.0, 10.0, "s", "Delay from sending to arrival.", plausible=(1e-7, 2.0)
@@ -187,9 +194,9 @@ class BusTable:
     )
 
     RULES: ClassVar = (
-        _of(CAN, ("bitrate_bit_s", "data_bitrate_bit_s", "message", "node")),
-        _of(MODBUS_RTU, ("baud_bit_s", "parity", "stop_bits")),
-        _of(MODBUS_TCP, ("latency_s", "timeout_s")),
+        _of(("bitrate_bit_s", "data_bitrate_bit_s", "message", "node"), CAN),
+        _of(("baud_bit_s", "parity", "stop_bits"), MODBUS_RTU, SERIAL),
+        _of(("latency_s", "timeout_s"), MODBUS_TCP),
         Rule(
             "kind",
             (CAN,),
@@ -260,7 +267,7 @@ class BusDescription:
 
     @property
     def is_line(self) -> bool:
-        """True for a Modbus line, whose controllers have units instead of node-IDs."""
+        """True for a line, whose controllers have units instead of node-IDs."""
         return self.kind in LINES
 
     def destroyers(self, controllers: Sequence[str]) -> list[str]:
@@ -283,9 +290,10 @@ def read_bus(name: str, table: Table) -> BusDescription:
         RigError: the first error in the table.
     """
     own = table.read(BusTable)
-    if own.kind == MODBUS_RTU:
+    if own.kind in (MODBUS_RTU, SERIAL):
+        parity = own.parity or ("E" if own.kind == MODBUS_RTU else "N")
         return BusDescription(
-            name, own.kind, own.baud_bit_s, parity=own.parity, stop_bits=own.stop_bits
+            name, own.kind, own.baud_bit_s, parity=parity, stop_bits=own.stop_bits
         )
     if own.kind == MODBUS_TCP:
         latency_ns, timeout_ns = round(own.latency_s * 1e9), round(own.timeout_s * 1e9)
@@ -340,12 +348,21 @@ def address_key(bus: BusDescription) -> str:
     return "unit" if bus.is_line else "node_id"
 
 
+def address_max(bus: BusDescription) -> int:
+    """Return the highest address of this bus's controllers."""
+    if bus.kind == SERIAL:
+        return ID_MAX
+    return UNIT_MAX if bus.is_line else NODE_MAX
+
+
 @dataclass(frozen=True, kw_only=True)
 class AddressTable:
     """Where a controller is on its bus."""
 
     node_id: int | None = whole(None, 0, NODE_MAX, "", "Its node-ID on a CAN bus.", example="1")
-    unit: int | None = whole(None, 1, UNIT_MAX, "", "Its server address on a line.", example="1")
+    unit: int | None = whole(
+        None, 0, ID_MAX, "", "Its server address (1 to 247) or id on a line.", example="1"
+    )
 
 
 def read_address(table: Table, bus: BusDescription) -> int | None:
@@ -357,7 +374,10 @@ def read_address(table: Table, bus: BusDescription) -> int | None:
     key = address_key(bus)
     other = "node_id" if bus.is_line else "unit"
     if table.has(other):
-        of = "Modbus controllers have a unit" if bus.is_line else "a CAN bus has node-IDs"
+        of = "its controllers have a unit" if bus.is_line else "a CAN bus has node-IDs"
         raise table.error(other, f'bus "{bus.name}" is of kind {bus.kind}: {of}', f"write {key}")
     own = table.part(AddressTable)
-    return own.unit if bus.is_line else own.node_id
+    unit = own.unit
+    if bus.kind in (MODBUS_RTU, MODBUS_TCP) and unit is not None and not 1 <= unit <= UNIT_MAX:
+        raise table.error("unit", f"{unit} is out of range", f"allowed: 1 to {UNIT_MAX}")
+    return unit if bus.is_line else own.node_id

@@ -53,6 +53,11 @@ class Capability(Enum):
         """The name of the capability in rig files."""
         return self.name.lower()
 
+    @property
+    def is_assumed(self) -> bool:
+        """True if no motor can be asked for it: claimed unless the rig has it in `without`."""
+        return self in (Capability.FAULTS, Capability.DEAD_MAN)
+
 
 _BY_KEY: Final = {capability.key: capability for capability in Capability}
 _LENGTH_MAX: Final = 1e6

@@ -25,11 +25,10 @@ from typing import ClassVar, Final, final
 
 from motorhil.harness.plugins import is_target
 from motorhil.harness.rig.config.buses import (
-    NODE_MAX,
-    UNIT_MAX,
     AddressTable,
     BusDescription,
     address_key,
+    address_max,
     read_address,
     read_bus,
     refuse_strangers,
@@ -473,7 +472,7 @@ def _refuse_shared_nodes(
         place = (controller.bus, controller.node_id)
         if place in taken:
             bus = buses[controller.bus]
-            key, last = address_key(bus), UNIT_MAX if bus.is_line else NODE_MAX
+            key, last = address_key(bus), address_max(bus)
             first = source.line(("controller", taken[place], key))
             used = [node for name_of_bus, node in taken if name_of_bus == controller.bus]
             free = next((node for node in range(1, last + 1) if node not in used), None)

@@ -32,6 +32,7 @@ from motorhil.settings import (
     dotted,
     listed,
     nearest,
+    parse_toml,
     read,
     refuse_unknown,
 )
@@ -302,7 +303,7 @@ class Source:
 
     def _parsed(self) -> dict[str, object]:
         try:
-            values = tomllib.loads(self.text)
+            values = parse_toml(self.text)
             self._lines = key_lines(self.text)
             self._refuse_long_integers((), values)
         except tomllib.TOMLDecodeError as error:
@@ -311,7 +312,7 @@ class Source:
                 self.path, f"not TOML: {message}", "see https://toml.io", line=line
             ) from None
         except RecursionError:
-            counts = [line.count("[") + line.count("{") for line in self.text.split("\n")]
+            counts = [sum(map(line.count, "[{.")) for line in self.text.split("\n")]
             line = counts.index(max(counts)) + 1
             raise RigError(self.path, "nested too deeply", "flatten it", line=line) from None
         except ValueError as error:  # error of int() within tomllib: more than 4300 digits

@@ -6,11 +6,11 @@ All hardware objects of a bus share one `CanopenBus`.
 import struct
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.link import CanLink, can_frame
 from motorhil.motorapi.adaptations.canopen.sync import BusSync
 from motorhil.motorapi.bus_context import Parts, context_of
 from motorhil.motorapi.errors import LinkError, UsageError
 from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.can_link import CanLink, can_frame, open_link, release_link
 
 if TYPE_CHECKING:
     import can
@@ -69,7 +69,7 @@ class CanopenBus:
     """
 
     def __init__(self, bus: "can.BusABC", runtime: Runtime) -> None:
-        self.link: Final = CanLink(bus, runtime)
+        self.link: Final = open_link(bus, runtime)
         self.fences: Final[dict[int, Fence]] = {}
         self.sync: Final = BusSync(self.link, self.fences)
         self.parts: Final = Parts()
@@ -143,7 +143,7 @@ class CanopenBus:
 
     def close(self) -> None:
         """Close the bus: nothing is sent or received afterwards."""
-        self.link.close()
+        release_link(self.link)
         for heartbeat in self._heartbeats.values():
             heartbeat.registration.cancel()
         self._heartbeats.clear()

@@ -16,8 +16,8 @@ from motorhil.motorapi.synchronization.firing_time import longest_s, overload_of
 from motorhil.motorapi.synchronization.offer import Firing, OneFrame
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.link import CanLink
     from motorhil.motorapi.adaptations.canopen.sync import BusSync
+    from motorhil.motorapi.runtime.can_link import CanLink
 
 SYNC: Final = OneFrame(SYNC_ID, 0)
 FULL: Final = "more urgent or already queued frames may delay SYNC without limit"

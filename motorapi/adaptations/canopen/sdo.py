@@ -28,7 +28,6 @@ from canopen.sdo.client import ReadableStream, SdoClient, WritableStream
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
-from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
 from motorhil.motorapi.adaptations.canopen.objects import Value, decode
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -38,6 +37,7 @@ from motorhil.motorapi.errors import (
 )
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
 from motorhil.motorapi.runtime.api import Runtime
+from motorhil.motorapi.runtime.can_link import CanLink, Transmission, can_frame
 from motorhil.motorapi.runtime.turn_lock import TurnLock
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmission, can_frame
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory, bus_name
@@ -33,6 +32,7 @@ from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock, can_
 from motorhil.motorapi.ownership.fencing import joint_fence
 from motorhil.motorapi.ownership.queue import FifoQueue, share_trigger
 from motorhil.motorapi.runtime.api import Registration, Runtime
+from motorhil.motorapi.runtime.can_link import CanLink, Transmission, can_frame
 
 if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import Fence

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.link import Transmission, can_frame
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.objects import encode
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
@@ -34,6 +33,7 @@ from motorhil.motorapi.adaptations.cia402.objects import (
     shows_no_reaction,
 )
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, UnsupportedError
+from motorhil.motorapi.runtime.can_link import Transmission, can_frame
 
 if TYPE_CHECKING:
     from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts

@@ -26,7 +26,6 @@ from math import ceil
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
-from motorhil.motorapi.adaptations.canopen.link import Transmission
 from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT, Mode, PdsState
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
@@ -42,13 +41,14 @@ from motorhil.motorapi.errors import (
 from motorhil.motorapi.generation import Trapezoid, shortest
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.planning.sampling import demand_of, way_of
+from motorhil.motorapi.runtime.can_link import Transmission
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage, note_stream
 from motorhil.motorapi.trajectory import value_of
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.link import CanLink
     from motorhil.motorapi.ownership.fencing import BoundFence, Fence
     from motorhil.motorapi.runtime.api import Registration
+    from motorhil.motorapi.runtime.can_link import CanLink
 
 _SETPOINT: Final = struct.Struct("<IB3xHi2x")
 _HALF: Final = 0x8000_0000

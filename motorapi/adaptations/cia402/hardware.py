@@ -15,13 +15,6 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
 from motorhil.motorapi.adaptations.canopen.emcy import Emergency
-from motorhil.motorapi.adaptations.canopen.link import (
-    CanLink,
-    FrameInbox,
-    Transmission,
-    bus_label,
-    raw_frame,
-)
 from motorhil.motorapi.adaptations.canopen.node import node_locks
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.objects import Value
@@ -38,6 +31,13 @@ from motorhil.motorapi.ownership.physical_motor import (
     RunStatus,
     register_physical_motor,
     release_physical_motor,
+)
+from motorhil.motorapi.runtime.can_link import (
+    CanLink,
+    FrameInbox,
+    Transmission,
+    bus_label,
+    raw_frame,
 )
 from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.runtime.wall import runtime_of

@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
-from motorhil.motorapi.adaptations.canopen.link import Transmission
 from motorhil.motorapi.adaptations.cia402.bringup import Cia402Table, HwOptions
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
@@ -63,6 +62,7 @@ from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.runtime.api import Registration
+from motorhil.motorapi.runtime.can_link import Transmission
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes
@@ -214,24 +214,18 @@ class Cia402Motor(Motor):
     ) -> None:
         _check_parts(hardware, model)
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
+            on_close=on_close,
         )
         self._hardware = hardware
         self._node = hardware.node
         self._control = hardware.control
         self._objects = hardware.objects
         self._reader = DriveReader(hardware, model, self.name)
-        self._on_close = on_close
         self._motions = DriveMotions(hardware, model, self._reader, self.name)
-
-    def close(self) -> None:
-        """Close the motor; further calls do nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     @property
     def hardware(self) -> Cia402HwMotor:

@@ -35,8 +35,8 @@ from motorhil.motorapi.synchronization.offer import Firing, OneFrame, SyncOffer
 from motorhil.motorapi.synchronization.quality import SyncLevel
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.canopen.link import Transmission
     from motorhil.motorapi.locking.process_lock import LockHandle
+    from motorhil.motorapi.runtime.can_link import Transmission
 
 _LATCHED: Final = {ControlVariable.POSITION: 0x607A, ControlVariable.VELOCITY: 0x60FF}
 _SET_POINT_BYTES: Final = 6

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
-from motorhil.motorapi.adaptations.canopen.link import Transmission
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.host_servo.occupation import NodeOccupation
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, MotorError
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
+from motorhil.motorapi.runtime.can_link import Transmission
 
 if TYPE_CHECKING:
     from motorhil.motorapi.locking.process_lock import LockHandle

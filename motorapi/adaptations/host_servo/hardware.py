@@ -9,12 +9,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
-from motorhil.motorapi.adaptations.canopen.link import (
-    FrameInbox,
-    Transmission,
-    bus_label,
-    raw_frame,
-)
 from motorhil.motorapi.adaptations.canopen.node import node_locks
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.objects import Value
@@ -50,6 +44,12 @@ from motorhil.motorapi.ownership.physical_motor import (
     RunStatus,
     register_physical_motor,
     release_physical_motor,
+)
+from motorhil.motorapi.runtime.can_link import (
+    FrameInbox,
+    Transmission,
+    bus_label,
+    raw_frame,
 )
 from motorhil.motorapi.runtime.wall import runtime_of
 from motorhil.motorapi.state import MotorState

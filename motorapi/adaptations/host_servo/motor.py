@@ -34,7 +34,7 @@ from motorhil.motorapi.adaptations.host_servo.servo import ServoLimits
 from motorhil.motorapi.adaptations.host_servo.settings import HostServoTable, IoOptions, PidGains
 from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
-from motorhil.motorapi.errors import DeviceFault, UnsupportedError, UsageError
+from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.planning.functions import from_here
@@ -130,10 +130,11 @@ class SoftwareMotor(Motor):
         on_close: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
+            on_close=on_close,
         )
         if model.increments_per_unit is None:
             raise UsageError(
@@ -149,13 +150,6 @@ class SoftwareMotor(Motor):
         self.gains = gains
         self.parameters = ServoParameters() if parameters is None else parameters
         self._held: tuple[float, float] = (0.0, 0.0)  # demand [inc], and the commanded value [U]
-        self._on_close = on_close
-
-    def close(self) -> None:
-        """Close the motor; further calls do nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     @property
     def hardware(self) -> AmplifierHwMotor:
@@ -232,9 +226,6 @@ class SoftwareMotor(Motor):
             no_start_bound="its amplifier's sampling period is not known (amplifier_tick_ms)",
             no_end_bound="the end depends on the servo, and is not predicted",
         )
-
-    def _quantise(self, motion: Motion) -> Motion:
-        return motion
 
     # --- connecting, state and measurements ------------------------------------------------
 
@@ -357,9 +348,6 @@ class SoftwareMotor(Motor):
     def _disarm(self) -> None:
         self._hardware.axis.disarm()
 
-    def _confirm(self, motion: Motion) -> None:
-        """Do nothing, as the motion began with the trigger's SYNC."""
-
     def _is_done(self) -> bool:
         axis = self._hardware.axis
         self._hardware.node.check_link()
@@ -367,9 +355,7 @@ class SoftwareMotor(Motor):
             raise axis.failure
         fault = axis.current_fault()
         if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
         return axis.is_over
 
     def _stop(self) -> None:

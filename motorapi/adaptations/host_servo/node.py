@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, open_bus, release_bus
-from motorhil.motorapi.adaptations.canopen.link import can_frame
 from motorhil.motorapi.adaptations.canopen.node import (
     CanopenNode,
     node_locks,
@@ -43,6 +42,7 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.runtime.can_link import can_frame
 from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
 

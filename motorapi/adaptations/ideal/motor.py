@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, final
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.api.registration import API_VERSION, Shared, adaptation, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
-from motorhil.motorapi.errors import DeviceFault, LinkError, UnsupportedError
+from motorhil.motorapi.errors import LinkError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.planning.functions import from_here
@@ -68,19 +68,13 @@ class IdealMotor(Motor):
         on_close: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
+            on_close=on_close,
         )
         self.hardware: Final = hardware
-        self._on_close = on_close
-
-    def close(self) -> None:
-        """Close the motor; further calls do nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     # --- capabilities ----------------------------------------------------------------------
 
@@ -102,9 +96,6 @@ class IdealMotor(Motor):
             oscillator_ppm=0.0,
             end_s=(0.0, 0.0),
         )
-
-    def _quantise(self, motion: Motion) -> Motion:
-        return motion
 
     # --- connecting, state and measurements ------------------------------------------------
 
@@ -178,16 +169,11 @@ class IdealMotor(Motor):
     def _disarm(self) -> None:
         self.hardware.disarm()
 
-    def _confirm(self, motion: Motion) -> None:
-        """Do nothing, as the motion began when it was fired."""
-
     def _is_done(self) -> bool:
         hardware = self.hardware
         fault = hardware.fault
         if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
         self._connect()
         if hardware.failure is not None:
             raise hardware.failure

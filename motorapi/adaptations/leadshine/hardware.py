@@ -15,8 +15,9 @@ from dataclasses import replace
 from math import ceil, floor
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
-from motorhil.motorapi.adaptations.modbus.polled_hardware import (
+from motorhil.motorapi.adaptations.modbus.client import ModbusExchange
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, as_i32
+from motorhil.motorapi.api.polled_hardware import (
     BOOT_S,
     HERE,
     Poll,
@@ -24,13 +25,13 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     check_register,
     toward_zero,
 )
-from motorhil.motorapi.adaptations.modbus.unit import as_i32
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import PeerError, StateError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:
+    from motorhil.motorapi.api.line_exchanges import ByteLine
     from motorhil.motorapi.model import MotorModel
     from motorhil.motorapi.runtime.api import Runtime
 
@@ -71,13 +72,13 @@ _ALARMS: Final = {0x01: "over-current", 0x02: "over-voltage", 0x20: "following e
 
 
 @final
-class LeadshineHwMotor(PolledHardware):
+class LeadshineHwMotor(PolledHardware[ModbusUnit]):
     """One PR-mode drive; see `PolledHardware`."""
 
     def __init__(
-        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
+        self, line: "ByteLine", unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
     ) -> None:
-        super().__init__(line, unit, runtime=runtime, timeout_s=timeout_s)
+        super().__init__(ModbusUnit(line, unit, runtime, self, timeout_s))
         self._is_homed = False
         self._prepared: tuple[int, ...] = ()
         self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
@@ -245,7 +246,7 @@ class LeadshineHwMotor(PolledHardware):
         """Send the prepared motion, and start it by the same request."""
         self.registers.write(_PATH_0, *self._prepared)
 
-    def _post_stop(self) -> Exchange:
+    def _post_stop(self) -> ModbusExchange:
         return self.registers.post(_TRIGGER, _STOP)
 
 

@@ -1,36 +1,14 @@
-"""One host on one Modbus line: one exchange after another.
+"""Modbus on a line: pymodbus encodes and decodes for `ExchangeLine`.
 
-Exchanges take place in the order of the requests. pymodbus encodes and decodes; the runtime
-provides time, silence and deadlines. No request is sent twice: a request whose answer was lost may
-have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its request.
-The request is sent as soon as the line is silent, before all others.
-
-A line that has ended or fails to send is opened anew before the next request; no request is sent
-again on it. On a serial line that is the device, unplugged and plugged in again.
-
-On a serial line, all bytes received since a request must be its answer, complete and with its check
-sum. A late answer looks like the answer to the next request. So after a request without an answer
-in time the line is in *quarantine*. The next request waits until the late answer has arrived
-completely (it is dropped), or a time limit has passed. Posted requests do not wait for that, and
-do not end it: the late answer may still follow the answer to the posted request.
-
-On TCP the transaction identifier distinguishes answers, and the bytes are a stream of ADUs, each
-read from its header. So half of a late answer does no harm. A connection that ends within an ADU or
-is silent for 2 s, more than most gateways wait for a unit, has ended as well.
-
-A line may never be silent, or another process may hold it. The wait for such a line is limited: a
-caller gets an error, and a posted request is sent anyway.
+On a serial line all bytes since a request are its answer; on TCP the bytes are a stream of ADUs,
+each read from its header.
 
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, section 3.1.3 (MBAP); for the request
 fields repeated in a response, MODBUS Application Protocol V1.1b3, sections 6.3, 6.6 and 6.12.
 """
 
 import logging
-from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol, final
+from typing import Final, final
 
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerRTU, FramerSocket
@@ -41,32 +19,19 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from motorhil.motorapi.errors import (
-    DeadlineExceeded,
-    LinkError,
-    MotorBusyError,
-    MotorError,
-    PeerError,
-)
-from motorhil.motorapi.runtime.api import Registration, Runtime
+from motorhil.motorapi.api.line_exchanges import Exchange, ExchangeLine, LineProtocolViolation
+from motorhil.motorapi.errors import MotorError, PeerError
 
-if TYPE_CHECKING:
-    from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
-    from motorhil.motorapi.ownership.fencing import Owned
+ModbusProtocolViolation = LineProtocolViolation
+ModbusExchange = Exchange[ModbusPDU, ModbusPDU]
 
 # pymodbus warns of frames that it cannot decode. Our error has their bytes; without a handler
 # of the application, Python would print the warning.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 _HEAD: Final = 7  # of MBAP, with the unit
-_SILENT_NS: Final = 2_000_000_000  # since an unanswered request: the TCP connection is broken
 _LENGTHS: Final = range(2, 255)  # in MBAP: of the unit and a PDU
 _HEARD_MAX: Final = 512  # bytes; more than any answer
-_LOCKED_NS: Final = 1_000_000
-_AT_ONCE_S: Final = 1e-9
-_QUARANTINE_NS: Final = 500_000_000
-_PATIENCE_NS: Final = 2_000_000_000  # for the line, of a waiting caller
-_URGENT_NS: Final = 100_000_000  # for silence, of a posted request
 GATEWAY_TARGET_FAILED: Final = 0x0B
 """The exception code of a gateway, for a unit that does not answer."""
 
@@ -107,85 +72,76 @@ class ModbusExceptionResponse(PeerError):  # noqa: N818 -- the specification's n
             f" ({exception_code:02X}h)"
         )
 
+    @property
+    def is_silence(self) -> bool:
+        """True if a gateway reports that the unit does not answer."""
+        return self.exception_code == GATEWAY_TARGET_FAILED
 
-@final
-class ModbusProtocolViolation(PeerError):  # noqa: N818 -- what happened
-    """The received bytes are not an answer to the request.
 
-    Attributes: line, unit, problem (in words), heard (the bytes).
+class _Reader:
+    """What the codecs of both framings share.
+
+    Attributes: framer; heard (the bytes since the request, on TCP except answers to others).
     """
 
-    def __init__(self, *, line: str, unit: int, problem: str, heard: bytes) -> None:
-        self.line = line
-        self.unit = unit
-        self.problem = problem
-        self.heard = heard
-        shown = heard[:24].hex(" ").upper() + (" ..." if len(heard) > 24 else "")
-        super().__init__(f"{line} unit {unit}: {problem} ({shown})")
-
-
-def is_silence(error: Exception) -> bool:
-    """Return whether the error means that a unit does not answer, directly or behind a gateway."""
-    if isinstance(error, ModbusExceptionResponse):
-        return error.exception_code == GATEWAY_TARGET_FAILED
-    return isinstance(error, DeadlineExceeded)
-
-
-@final
-@dataclass(slots=True, eq=False)
-class Exchange:
-    """A request and, once it is over, its answer or its error.
-
-    Attributes:
-        owned: must be ours when the request is sent; None: not required.
-    """
-
-    request: ModbusPDU
-    unit: int
-    timeout_s: float
-    owned: "Owned | None" = None
-    transaction: int = 0
-    asked_ns: int = 0
-    is_posted: bool = False
-    answer: ModbusPDU | None = None
-    error: MotorError | None = None
-    is_over: bool = False
-
-
-def answers(answer: ModbusPDU, request: ModbusPDU) -> bool:
-    """Return whether it may answer this very request: same number of registers, same address."""
-    if isinstance(answer, ExceptionResponse):
-        return True
-    if isinstance(request, ReadHoldingRegistersRequest):
-        return len(answer.registers) == request.count
-    if isinstance(request, WriteSingleRegisterRequest):
-        return (answer.address, answer.registers) == (request.address, request.registers)
-    if isinstance(request, WriteMultipleRegistersRequest):
-        return (answer.address, answer.count) == (request.address, request.count)
-    return True
-
-
-@final
-class FrameReader:
-    """A reader of answers on a serial line.
-
-    Attributes: framer; heard (all bytes since the request).
-    """
-
-    def __init__(self) -> None:
-        self.framer: Final = FramerRTU(DecodePDU(False))
+    def __init__(self, line: str, framer: FramerRTU | FramerSocket) -> None:
+        self.framer: Final = framer
         self.heard: bytes = b""
+        self._line = line
+
+    def begin(self) -> None:
+        """Forget received bytes, as a request is sent."""
+        self.heard = b""
+
+    def encode(self, exchange: ModbusExchange) -> bytes:
+        """Return the ADU of a request."""
+        exchange.request.dev_id = exchange.unit
+        exchange.request.transaction_id = exchange.transaction
+        return self.framer.buildFrame(exchange.request)
+
+    def answers(self, answer: ModbusPDU, request: ModbusPDU) -> bool:
+        """Return whether it may answer this very request: number of registers, address."""
+        if isinstance(answer, ExceptionResponse):
+            return True
+        if isinstance(request, ReadHoldingRegistersRequest):
+            return len(answer.registers) == request.count
+        if isinstance(request, WriteSingleRegisterRequest):
+            return (answer.address, answer.registers) == (request.address, request.registers)
+        if isinstance(request, WriteMultipleRegistersRequest):
+            return (answer.address, answer.count) == (request.address, request.count)
+        return True
+
+    def refusal(self, exchange: ModbusExchange, answer: ModbusPDU) -> MotorError | None:
+        """Return the error of an exception response."""
+        if not isinstance(answer, ExceptionResponse):
+            return None
+        address = getattr(exchange.request, "address", None)
+        return ModbusExceptionResponse(
+            line=self._line,
+            unit=exchange.unit,
+            function=exchange.request.function_code,
+            address=address if isinstance(address, int) else None,
+            exception_code=answer.exception_code,
+        )
+
+    def awaited(self, request: ModbusPDU) -> str:
+        """Return the words for the answer to a request."""
+        return f"answer to function {request.function_code:02X}h"
+
+
+@final
+class FrameReader(_Reader):
+    """A reader of answers on a serial line."""
+
+    def __init__(self, line: str) -> None:
+        super().__init__(line, FramerRTU(DecodePDU(False)))
 
     @property
     def is_inside(self) -> bool:
         """False: silence ends a frame."""
         return False
 
-    def begin(self) -> None:
-        """Forget received bytes, as a request is sent."""
-        self.heard = b""
-
-    def feed(self, data: bytes, exchange: Exchange | None) -> ModbusPDU | None:
+    def feed(self, data: bytes, exchange: ModbusExchange | None) -> ModbusPDU | None:
         """Return the answer of the addressed unit and function that `data` completes, if any."""
         if exchange is None:
             return None
@@ -196,15 +152,11 @@ class FrameReader:
 
 
 @final
-class StreamReader:
-    """A reader of answers on TCP.
+class StreamReader(_Reader):
+    """A reader of answers on TCP."""
 
-    Attributes: framer; heard (the bytes since the request, except answers to others).
-    """
-
-    def __init__(self) -> None:
-        self.framer: Final = FramerSocket(DecodePDU(False))
-        self.heard: bytes = b""
+    def __init__(self, line: str) -> None:
+        super().__init__(line, FramerSocket(DecodePDU(False)))
         self._buffer = b""
 
     @property
@@ -212,11 +164,7 @@ class StreamReader:
         """True if the end of an ADU is still to come."""
         return bool(self._buffer)
 
-    def begin(self) -> None:
-        """Forget received bytes, as a request is sent."""
-        self.heard = b""
-
-    def feed(self, data: bytes, exchange: Exchange | None) -> ModbusPDU | None:
+    def feed(self, data: bytes, exchange: ModbusExchange | None) -> ModbusPDU | None:
         """Return the answer if `data` completes it."""
         self._buffer += data
         answer: ModbusPDU | None = None
@@ -240,367 +188,22 @@ class StreamReader:
         return answer
 
 
-def _is_of(unit: int, function: int, exchange: Exchange) -> bool:
+def _is_of(unit: int, function: int, exchange: ModbusExchange) -> bool:
     return unit == exchange.unit and function & 0x7F == exchange.request.function_code
 
 
-def _decoded(framer: FramerRTU | FramerSocket, adu: bytes, exchange: Exchange) -> ModbusPDU | None:
+def _decoded(
+    framer: FramerRTU | FramerSocket, adu: bytes, exchange: ModbusExchange
+) -> ModbusPDU | None:
     try:
         return framer.handleFrame(adu, exchange.unit, exchange.transaction)[1]
     except (ModbusException, ValueError, IndexError):  # pymodbus raises these for an invalid frame
         return None
 
 
-class ByteLine(Protocol):
-    """A serial line or a TCP connection, as bytes.
-
-    A line may have a method `reconnect`, which opens it anew within a second. It raises LinkError
-    if that fails, or if the application has closed the line.
-    """
-
-    @property
-    def name(self) -> str:
-        """The name in messages."""
-
-    @property
-    def framing(self) -> str:
-        """The framing of requests: "rtu" or "tcp"."""
-
-    @property
-    def silence_ns(self) -> int:
-        """t3.5 [ns]; 0 on TCP."""
-
-    @property
-    def is_closed(self) -> bool:
-        """True if either end has closed the line."""
-
-    def duration_ns(self, characters: int) -> int:
-        """Return the duration of this number of characters on the line [ns]; 0 on TCP."""
-
-    def send(self, data: bytes) -> None:
-        """Send these bytes now; raises LinkError if the line does not accept them."""
-
-    def listen(self, on_data: Callable[[bytes, int], None]) -> Registration:
-        """Call `on_data(bytes, time_ns)` for received bytes; b"": the connection has ended."""
-
-
 @final
-class ModbusLine:
-    """The host's end of one line, shared by its units.
+class ModbusLine(ExchangeLine[ModbusPDU, ModbusPDU]):
+    """The host's end of one Modbus line, shared by its units."""
 
-    Attributes:
-        strays: the number of answers that matched no request.
-        reconnections: the number of connections made in place of broken ones.
-        users: the number of hardware objects that use the line.
-    """
-
-    def __init__(self, line: ByteLine, runtime: Runtime, lock: "ProcessLock | None") -> None:
-        self.line: Final = line
-        self.runtime: Final = runtime
-        self.name: Final = line.name
-        self.strays: int = 0
-        self.reconnections: int = 0
-        self.users = 0
-        self._lock = lock
-        self._hold: LockHandle | None = None
-        self._is_tcp: Final = line.framing == "tcp"
-        self._reader = self._new_reader()
-        self._reconnect: Final = getattr(line, "reconnect", None)
-        self._is_broken = False
-        self._unanswered_ns = -1  # time of a request since which nothing was heard, on TCP
-        self._queue: deque[Exchange] = deque()
-        self._active: Exchange | None = None
-        self._transaction = 0
-        self._idle_ns = 0  # end of the last exchange, with its quarantine
-        self._silent_ns = 0  # end of the required silence
-        self._owed: list[Exchange] = []  # their late answers may still come ...
-        self._owed_until_ns = 0  # ... until then
-        self._timer: Registration | None = None
-        self._registration = line.listen(self._hear)
-        if lock is not None:
-            self._set_reading(False)
-
-    def _new_reader(self) -> StreamReader | FrameReader:
-        return StreamReader() if self._is_tcp else FrameReader()
-
-    # ---- requests ----
-
-    def ask(
-        self, request: ModbusPDU, unit: int, timeout_s: float, owned: "Owned | None" = None
-    ) -> ModbusPDU:
-        """Send a request and return its answer; with `owned`, only while that is owned.
-
-        Raises:
-            MotorBusyError: it is not owned; nothing was sent.
-            ModbusExceptionResponse: the server refused the request.
-            DeadlineExceeded: no answer came in time; the request may have been executed.
-            ModbusProtocolViolation: the received bytes are not an answer; likewise.
-            LinkError: the line is closed.
-        """
-        exchange = Exchange(request, unit, timeout_s, owned)
-        exchange.asked_ns = self.runtime.now_ns()
-        is_asked = False
-
-        def is_over() -> bool:  # one condition is evaluated at a time, outside of callbacks
-            nonlocal is_asked
-            if not is_asked:
-                is_asked = True
-                self._queue.append(exchange)
-                self._go_on()
-            return exchange.is_over
-
-        try:
-            self.runtime.wait_until(is_over)
-        except BaseException:
-            with suppress(ValueError):  # it may have been sent already
-                self._queue.remove(exchange)
-            raise
-        if exchange.error is not None:
-            raise exchange.error
-        assert exchange.answer is not None
-        return exchange.answer
-
-    def post(self, request: ModbusPDU, unit: int, timeout_s: float) -> Exchange:
-        """Queue a request before all waiting ones, without waiting; callbacks may call it."""
-        exchange = Exchange(request, unit, timeout_s)
-        exchange.asked_ns, exchange.is_posted = self.runtime.now_ns(), True
-        self._queue.appendleft(exchange)
-        self._once(_AT_ONCE_S, self._go_on)
-        return exchange
-
-    def close(self) -> None:
-        """Close the line; waiting callers get an error."""
-        self._registration.cancel()
-        self._end_timer()
-        closed = LinkError(link=self.name, reason="this line was closed")
-        for exchange in (self._active, *self._queue):
-            if exchange is not None:
-                exchange.error, exchange.is_over = closed, True
-        self._queue.clear()
-        self._active = None
-        self._unlock()
-
-    # ---- queue ----
-
-    def _go_on(self) -> None:
-        """Send the next request, as soon as permitted."""
-        if self._active is not None or not self._queue:
-            return
-        if self._is_broken and self._reconnect is not None:
-            try:
-                self._connect_anew(self._reconnect)
-            except LinkError as error:
-                self._fail_all(error)
-                return
-        if self.line.is_closed:
-            self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
-            return
-        wait_ns = self._wait_ns(self._queue[0])
-        if wait_ns > 0:
-            self._set_timer(wait_ns / 1e9, self._go_on)
-            return
-        exchange = self._active = self._queue.popleft()
-        if not exchange.is_posted or self._owed_until_ns <= self.runtime.now_ns():
-            self._owed.clear()
-        self._reader.begin()
-        self._transaction = exchange.transaction = self._transaction % 0xFFFF + 1
-        exchange.request.dev_id = exchange.unit
-        exchange.request.transaction_id = exchange.transaction
-        adu = self._reader.framer.buildFrame(exchange.request)
-        try:
-            self._send(exchange, adu)
-        except MotorError as error:
-            self._is_broken = isinstance(error, LinkError)
-            self._end(exchange, None, error)
-            return
-        except Exception as error:  # any other failure of the line also ends the exchange
-            self._end(exchange, None, LinkError(link=self.name, reason=f"cannot send: {error}"))
-            return
-        on_line_s = self.line.duration_ns(len(adu)) / 1e9
-        self._set_timer(on_line_s + exchange.timeout_s, self._too_late)
-
-    def _connect_anew(self, reconnect: Callable[[], None]) -> None:
-        """Replace the broken connection; raises LinkError."""
-        reconnect()
-        self._registration.cancel()
-        self._registration = self.line.listen(self._hear)
-        self._reader = self._new_reader()
-        self._is_broken, self._unanswered_ns = False, -1
-        self.reconnections += 1
-
-    def _send(self, exchange: Exchange, adu: bytes) -> None:
-        if exchange.owned is None:
-            self.line.send(adu)
-            return
-        exchange.owned.begin_write(f"{self.name} unit {exchange.unit}")
-        try:
-            self.line.send(adu)
-        finally:
-            exchange.owned.end_write()
-
-    def _wait_ns(self, exchange: Exchange) -> int:
-        """Return the time to wait, at least [ns]; end the exchange if it waited too long."""
-        now_ns = self.runtime.now_ns()
-        since_ns = max(exchange.asked_ns, self._idle_ns)
-        silent_ns = self._silent_ns
-        if exchange.is_posted:
-            silent_ns = min(silent_ns, since_ns + _URGENT_NS)
-        elif self._owed:
-            silent_ns = max(silent_ns, self._owed_until_ns)
-        if silent_ns <= now_ns and self._take_lock():
-            return 0
-        if now_ns - since_ns < _PATIENCE_NS:
-            return silent_ns - now_ns if silent_ns > now_ns else _LOCKED_NS
-        if exchange.is_posted:
-            return 0
-        self._queue.remove(exchange)
-        why = "it is never silent" if silent_ns > now_ns else "another process holds it"
-        exchange.error = DeadlineExceeded(
-            awaited=f"{self.name}: its turn", timeout_s=_PATIENCE_NS / 1e9, last_heard=why
-        )
-        exchange.is_over = True
-        return 1
-
-    def _take_lock(self) -> bool:
-        """Take the lock between processes; return False if another process holds it."""
-        if self._lock is None or self._hold is not None:
-            return True
-        try:
-            self._hold = self._lock.acquire(self.runtime, "a Modbus exchange", 0.0, self)
-        except MotorBusyError:
-            return False
-        self._set_reading(True)
-        return True
-
-    def _unlock(self) -> None:
-        hold, self._hold = self._hold, None
-        if hold is not None:
-            self._set_reading(False)
-            hold.release()
-
-    def _set_reading(self, reads: bool) -> None:
-        """Enable reading only during our own exchanges, on a line shared by processes."""
-        set_reading = getattr(self.line, "set_reading", None)
-        if set_reading is not None:
-            set_reading(reads)
-
-    def _set_timer(self, time_s: float, action: Callable[[], None]) -> None:
-        self._end_timer()
-
-        def over() -> None:
-            self._timer = None
-            action()
-
-        self._timer = self._once(time_s, over)
-
-    def _once(self, time_s: float, action: Callable[[], None]) -> Registration:
-        """Run `action` once, as a callback, while no other callback and no request runs."""
-        is_over, timers = False, list[Registration]()  # still empty if the timer expires at once
-
-        def over() -> None:
-            nonlocal is_over
-            for timer in timers:
-                timer.cancel()
-            if not is_over:
-                is_over = True
-                action()
-
-        timers.append(self.runtime.every(max(time_s, _AT_ONCE_S), over))
-        return timers[0]
-
-    def _end_timer(self) -> None:
-        timer, self._timer = self._timer, None
-        if timer is not None:
-            timer.cancel()
-
-    # ---- answers ----
-
-    def _hear(self, data: bytes, time_ns: int) -> None:
-        if not data:
-            self._is_broken = True
-            self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
-            return
-        self._silent_ns = time_ns + self.line.silence_ns
-        self._unanswered_ns = -1
-        exchange = self._active
-        owed = self._owed[0] if len(self._owed) == 1 else None  # of several, their order is unknown
-        answer = self._reader.feed(data, exchange or owed)
-        if exchange is None:
-            self.strays += 1
-            if answer is not None:  # the late answer: nothing else can come
-                self._leave_quarantine()
-        elif answer is not None and answers(answer, exchange.request):
-            self._end(exchange, answer, None)
-        elif owed is not None and self._reader.feed(b"", owed) is not None:
-            self.strays += 1  # the late answer, before that to the posted request
-            self._owed.clear()
-            self._reader.begin()
-
-    def _too_late(self) -> None:
-        exchange = self._active
-        if exchange is None:
-            return
-        heard, unit = self._reader.heard, exchange.unit
-        error: MotorError
-        if heard:
-            problem = "the received bytes are not an answer to the request"
-            error = ModbusProtocolViolation(line=self.name, unit=unit, problem=problem, heard=heard)
-        else:
-            error = DeadlineExceeded(
-                awaited=f"{self.name} unit {unit}: answer to function"
-                f" {exchange.request.function_code:02X}h",
-                timeout_s=exchange.timeout_s,
-                last_heard="nothing",
-            )
-        if self._is_tcp:
-            now_ns = self.runtime.now_ns()
-            if self._unanswered_ns < 0 and not heard:
-                self._unanswered_ns = now_ns - round(exchange.timeout_s * 1e9)
-            is_silent = 0 <= self._unanswered_ns <= now_ns - _SILENT_NS
-            self._is_broken = is_silent or self._reader.is_inside
-        else:
-            self._owed.append(exchange)
-            self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS
-        self._end(exchange, None, error)
-
-    def _end(self, exchange: Exchange, answer: ModbusPDU | None, error: MotorError | None) -> None:
-        self._active = None
-        now_ns = self.runtime.now_ns()
-        self._idle_ns = self._owed_until_ns if self._owed else now_ns
-        self._end_timer()
-        if isinstance(answer, ExceptionResponse):
-            address = getattr(exchange.request, "address", None)
-            error = ModbusExceptionResponse(
-                line=self.name,
-                unit=exchange.unit,
-                function=exchange.request.function_code,
-                address=address if isinstance(address, int) else None,
-                exception_code=answer.exception_code,
-            )
-        exchange.answer, exchange.error, exchange.is_over = answer, error, True
-        if not self._owed:
-            self._unlock()
-        elif not self._queue:
-            self._set_timer((self._owed_until_ns - now_ns) / 1e9, self._leave_quarantine)
-        self._go_on()
-
-    def _leave_quarantine(self) -> None:
-        self._owed.clear()
-        self._end_timer()
-        self._unlock()
-        self._go_on()
-
-    def _fail_all(self, error: MotorError) -> None:
-        waiting = [exchange for exchange in (self._active, *self._queue) if exchange is not None]
-        self._queue.clear()
-        self._active = None
-        self._end_timer()
-        self._unlock()
-        for exchange in waiting:
-            exchange.error, exchange.is_over = error, True
-
-
-if TYPE_CHECKING:  # mypy checks that these classes implement ByteLine
-    from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
-
-    _ON_THE_WALL: tuple[type[ByteLine], ...] = (SerialLine, TcpLine)
+    def _codec(self) -> FrameReader | StreamReader:
+        return (StreamReader if self._is_tcp else FrameReader)(self.name)

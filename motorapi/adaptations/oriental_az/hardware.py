@@ -12,8 +12,9 @@ from dataclasses import replace
 from math import floor
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
-from motorhil.motorapi.adaptations.modbus.polled_hardware import (
+from motorhil.motorapi.adaptations.modbus.client import ModbusExchange
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
+from motorhil.motorapi.api.polled_hardware import (
     BOOT_S,
     HERE,
     Poll,
@@ -21,13 +22,13 @@ from motorhil.motorapi.adaptations.modbus.polled_hardware import (
     check_register,
     toward_zero,
 )
-from motorhil.motorapi.adaptations.modbus.unit import words
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, PeerError, UnsupportedError
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:
+    from motorhil.motorapi.api.line_exchanges import ByteLine
     from motorhil.motorapi.model import MotorModel
     from motorhil.motorapi.runtime.api import Runtime
 
@@ -77,13 +78,13 @@ _ALARMS: Final = {
 
 
 @final
-class OrientalAzHwMotor(PolledHardware):
+class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
     """One AZ drive; see `PolledHardware`."""
 
     def __init__(
-        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
+        self, line: "ByteLine", unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
     ) -> None:
-        super().__init__(line, unit, runtime=runtime, timeout_s=timeout_s)
+        super().__init__(ModbusUnit(line, unit, runtime, self, timeout_s))
         self._is_enabled = False  # by us: the drive excites its motor at power-on without a command
         self._prepared: tuple[int, ...] = ()
         self._deceleration = 1_000_000
@@ -235,7 +236,7 @@ class OrientalAzHwMotor(PolledHardware):
         """Send the prepared motion, and start it by the same request."""
         self.registers.write(_BLOCK, *self._prepared)
 
-    def _post_stop(self) -> Exchange:
+    def _post_stop(self) -> ModbusExchange:
         self._hz = None
         slower = self._deceleration
         block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, 1)

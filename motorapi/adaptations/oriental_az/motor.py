@@ -12,8 +12,9 @@
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.motorapi.adaptations.modbus.polled_motor import PolledBuilder, PolledMotor
+from motorhil.motorapi.adaptations.modbus.polled_builder import PolledBuilder
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
+from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
 

@@ -230,7 +230,7 @@ def _scale(variable: ControlVariable) -> float:
 _SHARED: Final[Shared[RmdHwMotor]] = Shared("RMD")
 
 
-@adaptation(api=1, rig="rig.toml")
+@adaptation(api=1)
 def build(
     bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
 ) -> RmdMotor:

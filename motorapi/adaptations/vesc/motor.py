@@ -249,7 +249,7 @@ class VescMotor(Motor):
 _SHARED: Final[Shared[VescHwMotor]] = Shared("VESC")
 
 
-@adaptation(api=1, rig="rig.toml")
+@adaptation(api=1)
 def build(
     bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
 ) -> VescMotor:

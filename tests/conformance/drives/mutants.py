@@ -767,6 +767,13 @@ def halt_is_ignored_in_tq(patch):
     _always(patch, ProfileTorque, "obey", None)
 
 
+@mutant("STOP-12")
+def mode_begins_without_its_halt(patch):
+    """Torque modes begin at once, even if bit 8 is 1 by then."""
+    for mode in (ProfileTorque, cyclic.CyclicTorque):
+        _wrap(patch, mode, "enter", lambda good: lambda s, word, now_ns: good(s, 0x0F, now_ns))
+
+
 @mutant("TQ-04")
 def torque_limits_are_swapped(patch):
     """60E0h limits negative torques, and 60E1h positive ones."""

@@ -68,7 +68,7 @@ _MORE: Final = (
 _RPM: Final = _variable("608C", "Velocity dimension index", 5, 0xA4)
 _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
-    _variable("60A9", "SI unit velocity", 7, 0xFF41_0300),  # 0.1 degree per second
+    _variable("60A9", "SI unit velocity", 7, 0xFFB4_4700),  # 0.1 revolution per minute
 )
 _LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6502")
 
@@ -99,7 +99,7 @@ DRIVES: dict[str, str] = {
     "rpm": (f'eds = "{_eds("rpm", added=_RPM)}"\nobjects = {{ "6081h" = 2000, "6083h" = 20000 }}'),
     "degrees": (
         f'eds = "{_eds("degrees", added="".join(_DEGREES))}"\n'
-        'objects = { "6081h" = 2000, "6083h" = 20000 }'
+        'objects = { "6081h" = 333, "6083h" = 667 }'
     ),
     "lean": (
         f'eds = "{_eds("lean", without=_LEAN)}"\n'

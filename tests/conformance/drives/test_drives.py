@@ -149,8 +149,13 @@ def test_clauses_for_drives_are_listed(capsys):
 
 
 def test_unknown_controller_is_refused_with_known_names():
-    with pytest.raises(RigError, match="has no such controller; did you mean drive"):
+    with pytest.raises(RigError, match=r"no such controller; it has drive .*; did you mean drive"):
         DriveTarget(Job(controller="drvie"))
+
+
+def test_kind_in_place_of_controller_is_answered_with_a_name():
+    with pytest.raises(RigError, match=r"own rig .* kind cia402\); use --controller drive, or"):
+        DriveTarget(Job(controller="cia402"))
 
 
 def test_drive_and_adaptation_together_are_refused(capsys):

@@ -8,7 +8,7 @@ from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
-from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from tests.conformance.mutants import mutant, replaced

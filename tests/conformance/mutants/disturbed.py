@@ -1,12 +1,12 @@
 """Mistakes that show only with bus errors, other programs on the bus, or large loads."""
 
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
-from motorhil.motorapi.adaptations.canopen.link import CanLink, Transmissions
 from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
 from motorhil.motorapi.adaptations.canopen.sync import BusSync
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.host_servo.servo import Servo
-from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.api.polled_motor import PolledMotor
+from motorhil.motorapi.runtime.can_link import CanLink, Transmissions
 from motorhil.motorapi.runtime.can_sources import BusCondition, BusStatus
 from motorhil.motorapi.state import Fault, MotorState
 from tests.conformance.mutants import mutant, replaced

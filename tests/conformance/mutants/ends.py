@@ -11,7 +11,7 @@ from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.ideal.profiles import Led
-from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.errors import DeadlineExceeded, MotorError
 from tests.conformance.mutants import mutant, replaced
 

@@ -7,7 +7,7 @@ from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
-from motorhil.motorapi.adaptations.modbus.polled_motor import PolledMotor
+from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.claim import AcquirePolicy, Claim, OwnershipKeepAlive
 from motorhil.motorapi.ownership.fencing import BoundFence

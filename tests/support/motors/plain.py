@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import floor
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable
-from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted, PeerError
+from motorhil.motorapi.errors import LinkError, MotionInterrupted, PeerError
 from motorhil.motorapi.generation import shortest
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.motor import Motor
@@ -255,9 +255,7 @@ class PlainMotor(Motor):
         hw = self.hw
         if hw.fault is not None:
             fault = hw.fault
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
         if not hw.heard:
             raise LinkError(link=self._physical.label, reason="no longer heard")
         if "_is_done" in hw.fail:

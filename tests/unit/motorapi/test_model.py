@@ -110,6 +110,7 @@ def test_invalid_toml_error_names_its_line(tmp_path):
     ("line", "problem"),
     [
         ("a = " + 100_000 * "[", "nested too deeply"),
+        ("a." * 2000 + "a (", "nested too deeply"),
         ("a = 1" + 5000 * "0", "4300 digits"),
         (r'"a\nb" = 1', r"'a\nb': unknown key (known: name, kind, "),
     ],

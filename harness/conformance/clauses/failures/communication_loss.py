@@ -12,6 +12,7 @@ from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, 
 from motorhil.harness.conformance.clauses.helpers import (
     Mode,
     aim,
+    begin_move,
     elapsed_s,
     error_ending,
     expect_moved,
@@ -20,7 +21,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_usable,
     failure_of,
     finish,
-    follow,
     is_over_soon,
     long_move,
     modes_of,
@@ -39,7 +39,6 @@ from motorhil.motorapi import (
     DeadlineExceeded,
     Motor,
     MotorState,
-    TrapezoidalTrajectory,
 )
 
 _BACK_S = 1.0
@@ -126,6 +125,7 @@ def drive_without_host_comes_to_rest(bench: RigProtocol) -> None:
 @clause(
     "LOST-04",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench=_CABLE,
     source="MotorHooks._connect; Sharing and locking, at most once",
 )
@@ -148,6 +148,7 @@ def restored_cable_starts_no_motion(bench: RigProtocol) -> None:
 @clause(
     "LOST-05",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench={*_CABLE, Ability.LOAD},
     source="MotorHooks._read_state; MotorHooks._enable, it holds its position",
 )
@@ -187,6 +188,7 @@ def _expect_true_state(bench: RigProtocol, when: str) -> None:
 @clause(
     "LOST-06",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench=_CABLE,
     source="requirement 4 of the paper; Sharing and locking, at most once",
 )
@@ -299,10 +301,7 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         bench.afresh()
         motor, way = bench.motor, 0.25 * long_move(bench)
         expected_s, what = shortest_s(motor, way), f"all frames {identifier:03X}h lost"
-        motor.enable()
-        before = position_of(bench, motor)
-        follow(motor, TrapezoidalTrajectory(way))
-        rest_for(bench, 0.3 * expected_s)
+        before = begin_move(bench, motor, way, 0.3 * expected_s)
         with bench.lose_identifier(identifier) as count:
             error = failure_of(partial(finish, bench, motor, expected_s))
             lost += count()
@@ -355,10 +354,7 @@ def done_despite_cut_cable_means_at_target(bench: RigProtocol) -> None:
 def _is_done_after_a_cut(bench: RigProtocol, share: float, length_s: float) -> bool:
     """Cut the cable during a motion; return whether the motion was reported done."""
     motor, way = bench.motor, 0.5 * long_move(bench)
-    motor.enable()
-    before = position_of(bench, motor)
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, share * shortest_s(motor, way))
+    before = begin_move(bench, motor, way, share * shortest_s(motor, way))
 
     def wait_through_cut() -> None:
         with bench.cut(motor), suppress(DeadlineExceeded):

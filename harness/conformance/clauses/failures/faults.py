@@ -15,6 +15,7 @@ from motorhil.harness.conformance.clause import (
 )
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
+    begin_move,
     elapsed_s,
     error_ending,
     expect_at,
@@ -91,10 +92,7 @@ def _expect_fault(motor: Motor, code: int) -> None:
 def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
     """During a motion, a fault ends the wait with its error code and becomes the state."""
     motor, way = bench.motor, 2.0 * long_move(bench)
-    motor.enable()
-    begin = position_of(bench, motor)
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, 0.4 * shortest_s(motor, way))
+    begin = begin_move(bench, motor, way, 0.4 * shortest_s(motor, way))
     reached(abs(position_of(bench, motor) - begin) > 0.05 * way, "a motion before the fault")
     code = bench.fail(motor)
     failed_ns = bench.runtime.now_ns()
@@ -186,7 +184,7 @@ def fault_at_rest_is_reported(bench: RigProtocol) -> None:
 @clause(
     "FAULT-05",
     Level.L5,
-    needs={Capability.FAULTS},
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.FAULT, Ability.AFRESH},
     source="CiA 402-2, fault reaction; Motor.wait_until_done, DeviceFault",
 )
@@ -373,8 +371,7 @@ def deadline_holds_without_answers(bench: RigProtocol) -> None:
     motor, way = bench.motor, long_move(bench)
     move(bench, motor, 0.1 * way)
     for timeout_s in (0.0, 0.3):
-        follow(motor, TrapezoidalTrajectory(way))
-        rest_for(bench, 0.1 * shortest_s(motor, way))
+        begin_move(bench, motor, way, 0.1 * shortest_s(motor, way))
         with bench.lose_answers_of(motor) as count:
             begun_ns = bench.runtime.now_ns()
             error = failure_of(partial(motor.wait_until_done, timeout_s))
@@ -470,7 +467,7 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
 @clause(
     "HOME-02",
     Level.L2,
-    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    needs={Capability.POSITION_TRAJECTORY},
     source="Motor.home: UnsupportedError, the motor does not know the method",
 )
 def unknown_homing_method_is_refused(bench: RigProtocol) -> None:

@@ -10,6 +10,7 @@ from motorhil.harness.conformance.clause import Level, NotApplicable, clause, ex
 from motorhil.harness.conformance.clauses.helpers import (
     MOVING_S,
     aim,
+    begin_move,
     expect_group_moved,
     expect_moved,
     expect_raises,
@@ -206,10 +207,7 @@ def overloaded_motor_is_reported(bench: RigProtocol) -> None:
     for share in _OVERLOADS:
         bench.afresh()
         motor = bench.motor
-        motor.enable()
-        before = bench.true_position(motor)
-        follow(motor, TrapezoidalTrajectory(way))
-        rest_for(bench, 0.3 * shortest_s(motor, way))
+        before = begin_move(bench, motor, way, 0.3 * shortest_s(motor, way))
         bench.load(motor, torque_of(motor, share))
         error = failure_of(partial(finish, bench, motor, shortest_s(motor, way) + _GIVES_UP_S))
         made = bench.true_position(motor) - before

@@ -9,6 +9,7 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
+    begin_move,
     braking_distance,
     expect_at,
     expect_raises,
@@ -53,10 +54,7 @@ def _stop_halfway(
 ) -> tuple[float, float]:
     """Stop a motion half-way, check the stop, and return the start and end positions."""
     motor, way = bench.motor, 1.5 * long_move(bench)
-    motor.enable()
-    begin = position_of(bench, motor)
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, 0.4 * shortest_s(motor, way))
+    begin = begin_move(bench, motor, way, 0.4 * shortest_s(motor, way))
     stopped_at = position_of(bench, motor)
     reached(abs(stopped_at - begin) > 0.1 * way, "a motion before the stop")
     stop(motor)
@@ -211,8 +209,7 @@ def stop_at_rest_is_done_at_once(bench: RigProtocol) -> None:
         begin += way
         expect_at(bench, motor, begin, f"moved {way:g} after {stop.__name__}()")
     long_way = 1.5 * long_move(bench)
-    follow(motor, TrapezoidalTrajectory(long_way))
-    rest_for(bench, midway_s(motor, long_way, 0.3))
+    begin_move(bench, motor, long_way, midway_s(motor, long_way, 0.3))
     motor.stop()
     rest_for(bench, 0.05)
     motor.stop()
@@ -289,10 +286,7 @@ def _command(
 def disable_ends_motion(bench: RigProtocol) -> None:
     """After disable() the motion is over: when enabled again, the motor stays at its position."""
     motor, way = bench.motor, 2.0 * long_move(bench)
-    motor.enable()
-    begin = position_of(bench, motor)
-    follow(motor, TrapezoidalTrajectory(way))
-    rest_for(bench, 0.3 * shortest_s(motor, way))
+    begin = begin_move(bench, motor, way, 0.3 * shortest_s(motor, way))
     motor.disable()
     expect_state(motor, MotorState.DISABLED, "after disable() during a motion")
     expect_raises(

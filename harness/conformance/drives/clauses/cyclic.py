@@ -22,6 +22,8 @@ _CST: Final = "CiA 402-2, cyclic synchronous torque mode"
 _IP: Final = "CiA 402-2, interpolated position mode"
 _PERIOD_MS: Final = round(SYNC_S * 1e3)
 _ENABLE_IP: Final = 0x10
+_PUSH: Final = 200  # of 60B2h [1/1000 of 6076h]
+_COARSE_INC: Final = 4.0  # of a position unit
 _TORQUE_NOISE: Final = 15  # of 6077h [1/1000 of 6076h]
 
 
@@ -134,12 +136,13 @@ def _position_stream(bench: DriveBench) -> tuple[_Stream, int, float]:
     return stream, start, 0.25 * stream.pace.speed * SYNC_S
 
 
-@drive_clause("CSP-02", Level.L4, source=f"{_CSP}, 60B0h, 60B1h; statusword bit 12")
+@drive_clause("CSP-02", Level.L4, source=f"{_CSP}, 60B0h, 60B1h, 60B2h; statusword bit 12")
 def position_offset(bench: DriveBench) -> None:
-    """In csp the position is 607Ah + 60B0h; the velocity offset 60B1h leaves it as it is."""
+    """In csp the position is 607Ah + 60B0h; 60B1h and 60B2h push it, and leave it as it is."""
     drive = bench.drive
     drive.require(od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.POSITION_DEMAND, od.FOLLOWING_ERROR)
     stream, start, step = _position_stream(bench)
+    hides_push = bench.is_real or drive.units().position_inc > _COARSE_INC
     offset = round(4 * step)
     for value in (offset // 2, offset, 0, -offset, 0):
         drive.write(od.POSITION_OFFSET, value)
@@ -150,7 +153,7 @@ def position_offset(bench: DriveBench) -> None:
         drive.write(od.VELOCITY_OFFSET, value)
         stream.send(start, 40)
         moved = drive.read(od.POSITION) - start
-        least = 0 if bench.is_real or not value else drive.window()
+        least = 0 if hides_push or not value else drive.window()
         most = max(drive.window(), 10.0 * step)
         is_pushed = least <= moved * (1 if value >= 0 else -1) <= most
         what, cause = f"csp at rest, 60B1h = {value}", "60B1h is ignored, or has the other sign"
@@ -161,6 +164,17 @@ def position_offset(bench: DriveBench) -> None:
             drive.expect(is_pushed, what, expected, f"{moved}", cause)
         else:
             drive.near(od.POSITION, start, drive.window(), what)
+    if drive.find(od.TORQUE_OFFSET) is None or hides_push:
+        return
+    for torque in (_PUSH, -_PUSH):
+        drive.write(od.TORQUE_OFFSET, torque)
+        track = drive.watch(od.POSITION, lambda one: abs(one.value - start) > 1, 5.0 * SYNC_S)
+        pushed = track[-1].value - start
+        what, cause = f"csp at rest, 60B2h = {torque}", "60B2h is ignored, or has the other sign"
+        drive.expect(pushed * torque > 0, what, "a push in its direction", f"{pushed}", cause)
+        drive.write(od.TORQUE_OFFSET, 0)
+        stream.send(start, 40)
+        drive.near(od.POSITION, start, drive.window(), "60B2h = 0 again")
 
 
 @drive_clause("CSP-03", Level.L4, source=f"{_CSP}, 607Dh; statusword bits 11 and 12")

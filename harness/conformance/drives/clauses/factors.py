@@ -198,6 +198,7 @@ def end_velocity(bench: DriveBench) -> None:
         word = drive.statusword()
         what = f"set-point {target}, 6082h = {end}"
         drive.expect(not word & od.TARGET_REACHED, what, "bit 10 = 0 at first", f"{word:04X}h")
+        drive.expect_ramp(drive.sped_up(pace), pace.acceleration, what, "6083h")
         track = drive.watch_to(od.POSITION, target, 4.0 * pace.ramp_s + 1.0, sign=sign)
         passed = sign * (track[-1].value - target) >= 0
         drive.expect(passed, what, "the target is passed", f"{track[-1].value}")

@@ -200,6 +200,9 @@ def touch_probes(bench: DriveBench) -> None:
                 drive.write(od.PROBE_FUNCTION, 0)
                 drive.near(od.PROBE_STATUS, 0, 0, "60B8h = 0")
         bench.stimulate(name, _RELEASED)
+    drive.write(od.PROBE_FUNCTION, _ON | _EVERY | _RISING)
+    drive.reset()
+    drive.near(od.PROBE_STATUS, 0, 0, "60B8h = 0 after a reset of the node")
 
 
 @drive_clause("TP-02", Level.L1, source=f"{_PROBE}: index pulse")

@@ -13,6 +13,7 @@ _QUICK_STOP: Final = "CiA 402-2 / IEC 61800-7-201, quick stop option code 605Ah"
 _HOST: Final = 0x7C
 _CONSUMER_MS: Final = 100
 _SLOW: Final = 4
+_TORQUE: Final = 60  # [1/1000 of 6076h]
 _RAMPS: Final = (od.DECELERATION, od.QUICK_DECELERATION)
 
 
@@ -204,6 +205,39 @@ def fault_reaction_limits(bench: DriveBench) -> None:
         _expect_hard(drive, pace, what)
         _at_rest(drive, pace, State.FAULT, what)
         drive.write(od.HEARTBEAT_CONSUMER, 0)
+
+
+@drive_clause("STOP-12", Level.L2, source="CiA 402-2, controlword bit 8, 605Dh; modes pv to cst")
+def mode_begins_under_halt(bench: DriveBench) -> None:
+    """A mode that is selected while halt is 1 keeps the motor at rest; it moves after halt."""
+    drive = bench.drive
+    drive.require_mode(Mode.PV)
+    pace = drive.pace()
+    modes = [(Mode.PV, od.TARGET_VELOCITY, pace.velocity // 2)]
+    if not bench.is_real:  # a free motor would race, and SYNC is late
+        modes += [
+            (Mode.CSV, od.TARGET_VELOCITY, pace.velocity // 2),
+            (Mode.TQ, od.TARGET_TORQUE, _TORQUE),
+            (Mode.CST, od.TARGET_TORQUE, _TORQUE),
+        ]
+    drive.write(od.TARGET_VELOCITY, 0)
+    drive.enable(Mode.PV)
+    drive.command(od.ENABLE | od.HALT)
+    for mode, entry, value in modes:
+        if not drive.has_mode(mode):
+            continue
+        drive.write(entry, value)
+        drive.select(mode)
+        drive.quiet(2.0 * pace.ramp_s)
+        what = f"{mode} selected while halt is 1, {entry} = {value}"
+        drive.near(od.VELOCITY, 0, 1 + pace.velocity // 50, what, "halt is ignored")
+        drive.command(od.ENABLE)
+        drive.write(entry, value)  # a cyclic mode obeys the next target
+        seen = drive.watch_to(od.VELOCITY, pace.velocity // 4, 40.0 * pace.ramp_s)[-1].value
+        expected = f"606Ch = {pace.velocity // 4} at least, without halt"
+        drive.expect(seen >= pace.velocity // 4, what, expected, f"{seen}", "halt stays")
+        drive.command(od.ENABLE | od.HALT)
+        drive.braked(pace.velocity // 4, _longest_s(pace), f"halt in {mode}")
 
 
 def _expect_hard(drive: Drive, pace: Pace, what: str) -> None:

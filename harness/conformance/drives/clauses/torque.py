@@ -248,11 +248,7 @@ def ramps_are_limited(bench: DriveBench) -> None:
     drive.write(od.TARGET_VELOCITY, 0)
     drive.enable(Mode.PV)
     drive.write(od.TARGET_VELOCITY, pace.velocity)
-    track = drive.watch(
-        od.VELOCITY, lambda one: one.value >= pace.velocity * 0.95, 6.0 * pace.ramp_s + 0.5
-    )
-    part = [one for one in track if 0.2 * pace.velocity < one.value < 0.8 * pace.velocity]
-    found = slope(part) / drive.units().acceleration if len(part) > 3 else None
+    found = drive.sped_up(pace)
     drive.expect_ramp(found, half, "speeding up", "60C5h, half of 6083h")
     drive.await_velocity(pace.velocity, 3.0 * pace.ramp_s)
     drive.write(od.TARGET_VELOCITY, 0)

@@ -11,10 +11,11 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 
 from tests.conformance.mutants.by_rule.classified import Reason, known, read, reason_of
-from tests.conformance.mutants.by_rule.execution import Run, measured
-from tests.conformance.mutants.by_rule.sources import sample
+from tests.conformance.mutants.by_rule.execution import Execution, Run, measured, of_clauses
+from tests.conformance.mutants.by_rule.sources import Mutant, mutant_of, sample
 from tests.conformance.mutants.by_rule.trial import Outcome, Trial, prepare, tried
 
 _DEAR_S = 1.0  # cost of a known verdict's check, at most [s]
@@ -66,13 +67,29 @@ def told(trial: Trial, reasons: Reasons) -> Iterator[str]:
         yield f"    {reason.kind}: {reason.reason}"
 
 
+def mutants_of(options: argparse.Namespace) -> Iterator[Mutant]:
+    """Yield the sampled mutants, or those that were not found in an earlier run."""
+    if not options.again:
+        yield from sample(options.seed, options.count, options.only)
+        return
+    for line in Path(options.again).read_text().splitlines():
+        values = json.loads(line)
+        one = Mutant(**values["mutant"])
+        if not Outcome(values["outcome"]).is_found and options.only in one.function:
+            try:
+                yield mutant_of(one.function, one.change)
+            except LookupError as error:
+                print(error, file=sys.stderr)
+
+
 def trials_of(options: argparse.Namespace) -> Iterator[Trial]:
-    """Yield the trial of each sampled mutant; show the progress on stderr."""
+    """Yield the trial of each mutant; show the progress on stderr."""
     prepare()
-    execution = measured(options.bench)
+    runs = of_clauses(options.clause, options.bench) if options.clause else []
+    execution = Execution([], {}, []) if options.clause else measured(options.bench)
     prepare(execution.modules)
-    for number, mutant in enumerate(sample(options.seed, options.count, options.only), 1):
-        plan = execution.plan(mutant, options.seconds)
+    for number, mutant in enumerate(mutants_of(options), 1):
+        plan = runs or execution.plan(mutant, options.seconds)
         trial = tried(mutant, plan, afresh=execution.is_early(mutant))
         by = f" {trial.clause} on {trial.bench}" if trial.outcome.is_found else ""
         line = f"{number:4} {mutant.function}: {trial.outcome.value}{by}, {trial.cpu_s:.1f} s"
@@ -104,6 +121,12 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--bench", default="", metavar="TEXT", help="on benches of such names")
     parser.add_argument(
         "--seconds", type=float, default=5.0, metavar="S", help="cost of a mutant's checks"
+    )
+    parser.add_argument(
+        "--clause", action="append", metavar="ID", help="try these alone, without measuring"
+    )
+    parser.add_argument(
+        "--again", metavar="FILE", help="those of a --json file that were not found, no sample"
     )
     parser.add_argument("--json", metavar="FILE", help="write each trial as a line")
     parser.add_argument("--all", action="store_true", help="also tell the explained survivors")

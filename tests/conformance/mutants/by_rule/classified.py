@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from tests.conformance.mutants.by_rule.sources import Mutant, mutants_in
+from tests.conformance.mutants.by_rule.sources import Mutant, mutant_of, mutants_in
 
 KNOWN: Final = Path(__file__).with_name("known.toml")
 FILE: Final = Path(__file__).with_name("equivalent.toml")
@@ -92,15 +92,9 @@ class Known:
         """Return the mutant.
 
         Raises:
-            LookupError: the sources do not have it any more.
+            LookupError: the sources do not have it any more; take another one.
         """
-        file, _, scope = self.function.partition(" ")
-        for one in mutants_in(file, scope):
-            if one.change == self.change:
-                return one
-        raise LookupError(
-            f"known.toml: {self.function}: {self.change}: not in the sources; take another mutant"
-        )
+        return mutant_of(self.function, self.change)
 
 
 def known() -> list[Known]:

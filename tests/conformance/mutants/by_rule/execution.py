@@ -5,7 +5,9 @@ Measured once for a state of the sources, and kept in `build`.
 
 import json
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -86,6 +88,36 @@ class Execution:
         return chosen
 
 
+def of_clauses(clauses: Collection[str], only: str = "") -> list[Run]:
+    """Return the runs of these clauses with correct sources, without what they execute.
+
+    Args:
+        clauses: their ids.
+        only: a part of the names of benches; the others take no part.
+    """
+    runs: list[Run] = []
+    for bench in benches.names():
+        if only not in bench or set(clauses).isdisjoint(benches.clauses(bench)):
+            continue
+        for answer in answers(partial(_run_these, bench, clauses)):
+            if answer is None or "wrong" in answer or "raised" in answer:
+                print(f"left out: {answer or bench}", file=sys.stderr)
+            elif (run := Run(**answer, hits={})).is_able:
+                runs.append(run)
+    return runs
+
+
+def _run_these(bench: str, clauses: Collection[str], tell: Tell) -> None:
+    limit(_LONG_S, 10.0 * _LONG_S)
+    for clause in benches.clauses(bench):
+        if clause in clauses:
+            verdict, cost_s = _timed(clause, bench)
+            if _is_as_wanted(verdict, clause, bench):
+                tell(_answer(verdict, clause, bench, cost_s))
+            else:
+                tell({"wrong": f"{clause} on {bench}: {verdict.result.value}: {verdict.seen}"})
+
+
 def measured(only: str = "") -> Execution:
     """Return the execution of these sources: kept from before, or measured now, in minutes.
 
@@ -155,22 +187,29 @@ def _run_all(bench: str, tell: Tell) -> None:
     benches.opener(bench)
     before = hits(clear=True)
     for clause in clauses:
-        begin_s = cpu_s()
-        verdict = benches.verdict(clause, bench, claims_anew=True)
-        cost_s = cpu_s() - begin_s
-        if verdict.result.is_good or benches.has_known_finding(clause, bench):
-            tell(
-                {
-                    "bench": bench,
-                    "clause": clause,
-                    "cpu_s": round(cost_s, 4),
-                    "result": verdict.result.value,
-                    "hits": _texts(_of(bench, hits(clear=True))),
-                }
-            )
+        verdict, cost_s = _timed(clause, bench)
+        if _is_as_wanted(verdict, clause, bench):
+            found = _texts(_of(bench, hits(clear=True)))
+            tell({**_answer(verdict, clause, bench, cost_s), "hits": found})
     own = ("motorhil", "numpy", "can", "canopen", "pymodbus", "hypothesis")
     modules = [name for name in sys.modules if name.partition(".")[0] in own]
     tell({"modules": modules, "before": _texts(before)})
+
+
+def _timed(clause: str, bench: str) -> tuple[Any, float]:
+    """Return the verdict of a clause, and its cost in processor time [s]."""
+    begin_s = cpu_s()
+    return benches.verdict(clause, bench, claims_anew=True), cpu_s() - begin_s
+
+
+def _is_as_wanted(verdict: Any, clause: str, bench: str) -> bool:
+    is_good: bool = verdict.result.is_good
+    return is_good or benches.has_known_finding(clause, bench)
+
+
+def _answer(verdict: Any, clause: str, bench: str, cost_s: float) -> dict[str, Any]:
+    result = verdict.result.value
+    return {"bench": bench, "clause": clause, "cpu_s": round(cost_s, 4), "result": result}
 
 
 def _of(bench: str, found: dict[str, int]) -> dict[str, int]:

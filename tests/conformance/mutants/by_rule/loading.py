@@ -11,6 +11,7 @@ from functools import _lru_cache_wrapper
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import CodeType, FunctionType, ModuleType
+from typing import Final
 
 from tests.conformance.mutants.by_rule import benches
 from tests.conformance.mutants.by_rule.rules import edits
@@ -20,6 +21,9 @@ HITS = "__hits__"
 """The name of the array of executed statements in each instrumented module."""
 
 Change = Callable[[str], ast.Module]
+
+_FORGOTTEN: Final[list[ModuleType]] = []
+"""Modules that were imported again. Their temporary files are also those of the parent process."""
 
 
 def mutated(mutant: Mutant) -> ast.Module:
@@ -133,7 +137,7 @@ def import_afresh(changes: dict[str, Change]) -> None:
     names += [name for name in sys.modules if name.startswith(("tests.support", "tests.conf"))]
     for name in names:
         if not name.startswith("tests.conformance.mutants"):
-            del sys.modules[name]
+            _FORGOTTEN.append(sys.modules.pop(name))
     benches.forget()
     sys.meta_path.insert(0, _Finder(changes))
 

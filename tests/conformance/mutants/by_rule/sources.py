@@ -120,6 +120,19 @@ def mutants_in(file: str, scope: str) -> Iterator[Mutant]:
         )
 
 
+def mutant_of(function: str, change: str) -> Mutant:
+    """Return the mutant of this function with this change.
+
+    Raises:
+        LookupError: the sources do not have it any more.
+    """
+    file, _, scope = function.partition(" ")
+    for one in mutants_in(file, scope):
+        if one.change == change:
+            return one
+    raise LookupError(f"{function}: {change}: not in the sources")
+
+
 def sample(seed: int, count: int, only: str = "") -> list[Mutant]:
     """Return `count` mutants, or all that there are, of functions whose names contain `only`."""
     chosen = [one for one in functions() if only in " ".join(one)]

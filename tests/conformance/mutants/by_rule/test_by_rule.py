@@ -159,3 +159,30 @@ def test_child_that_hangs_or_fails_is_told():
         [sys.executable, "-c", FORKED], cwd=CHECKOUT, capture_output=True, text=True, check=True
     )
     assert result.stdout.strip() == "[1, None] [None] ['ValueError: no']"
+
+
+AFRESH = """
+import gc
+from pathlib import Path
+from tests.conformance.drives.rigs import _eds
+from tests.conformance.mutants.by_rule.children import answers
+from tests.conformance.mutants.by_rule.loading import import_afresh
+
+path = Path(_eds("more"))
+del _eds
+
+def afresh(tell):
+    import_afresh({})
+    import tests.conformance.drives.rigs
+    gc.unfreeze()
+    gc.collect()
+
+print(list(answers(afresh)), path.exists())
+"""
+
+
+def test_child_that_imports_afresh_leaves_files_of_its_parent():
+    result = subprocess.run(
+        [sys.executable, "-c", AFRESH], cwd=CHECKOUT, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[] True"

@@ -198,7 +198,7 @@ def test_group_starts_sequentially_and_reports_it(rig):
     group = MotorGroup(rig.motors["left"], rig.motors["right"])
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-1.0))
-    assert "a frame of its own" in group.sync_capability().reason
+    assert "a command of its own" in group.sync_capability().reason
     group.start()
     group.wait_until_done(timeout_s=5)
     assert abs(true(rig, "right") + 1.0) <= WINDOW
@@ -214,7 +214,7 @@ def test_unsupported_mode_is_refused(rig, mode, variable):
 def test_jerk_limited_trajectory_is_refused(rig):
     motor = rig.motors["left"]
     motor.set_control_mode(ControlMode.TRAJECTORY)
-    with pytest.raises(UnsupportedError, match="function of time"):
+    with pytest.raises(UnsupportedError, match="limited jerk"):
         motor.set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=10.0)))
 
 

@@ -15,16 +15,16 @@ from motorhil.traces.semantics.diff import Tolerance
 from tests.support.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.support.recordings.altered import traffic
 
-NAMES = list(GOLDEN)
-FOREIGN = ("rmd", "vesc")  # protocols whose requests a recorded device or host does not know
+FRAMES_ONLY = ("moteus", "rmd", "vesc")
+"""Recordings without CANopen or Modbus, which device and host are replayed by."""
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(params=GOLDEN)
 def name(request):
     return request.param
 
 
-@pytest.fixture(params=[name for name in NAMES if name not in FOREIGN])
+@pytest.fixture(params=[name for name in GOLDEN if name not in FRAMES_ONLY])
 def known(request):
     return request.param
 
@@ -79,7 +79,10 @@ def test_as_host_objects_agree_with_the_recording(known, tmp_path):
 def test_as_traffic_frames_keep_order_and_times(name, tmp_path, capsys):
     """A frame is sent at its recorded end, and a longer frame may delay it."""
     bench, live = tmp_path / "bench.toml", tmp_path / "live.mcap"
-    bench.write_text("bus.bench = { bitrate_bit_s = 1_000_000, node.ear.silent = true }\n")
+    bench.write_text(
+        "[bus.bench]\nbitrate_bit_s = 1_000_000\ndata_bitrate_bit_s = 5_000_000\n"
+        'node.ear = { silent = true, frames = "fd" }\n'
+    )
     with golden(name) as path:
         words = ["replay", str(path), "--as", "traffic", "--on", "can0=bench"]
         status = main([*words, "--rig", str(bench), "-o", str(live)])

@@ -170,8 +170,8 @@ def test_second_rig_with_the_same_bus_is_refused(write):
             'kind = "echo"',
             'kind = "ecco"',
             'rig.toml:6: controller.left.kind: unknown controller kind "ecco" '
-            "(known: broken, cia401, cia402, echo, leadshine_pr, oriental_az, recorded, rmd,"
-            " vesc); did you mean echo?",
+            "(known: broken, cia401, cia402, dynamixel, echo, leadshine_pr, mit, moteus, "
+            "oriental_az, recorded, rmd, robstride, vesc); did you mean echo?",
         ),
         (
             "velocity_max_rad_s = 6.0",

@@ -114,6 +114,44 @@ def test_fd_frames_stay_away_from_a_classical_drive(rig, drive):
     assert got == [b"ok"]
 
 
+def test_drives_of_a_bus_listen_once_together(rig, monkeypatch):
+    listened, listen = [], VirtualRuntime.listen
+
+    def counted(runtime, bus, on_frame, *, fd=False):
+        listened.append(fd)
+        return listen(runtime, bus, on_frame, fd=fd)
+
+    monkeypatch.setattr(VirtualRuntime, "listen", counted)
+    hardware = [Hardware(f"{node}") for node in range(16)]
+    drives = [CanDrive(rig.bus, node, one) for node, one in enumerate(hardware)]
+    fd_drive = CanDrive(rig.bus, 16, rig, fd=True)
+    assert listened == [False, True]  # again when the first drive asks for CAN FD
+    got = []
+    for node, drive in enumerate([*drives[:2], fd_drive]):
+        drive.handle(ANSWER, lambda data, time_ns, node=node: got.append((node, data)))
+    rig.peer.send(pack(ANSWER, b"to all"))
+    rig.peer.send(pack_fd(ANSWER, b"fd"))
+    rig.wait(0.01)
+    assert got == [(0, b"to all"), (1, b"to all"), (2, b"to all"), (2, b"fd")]
+    got.clear()
+    drives[0].close(at_rest=True)
+    drives[1].handle(ANSWER, lambda data, time_ns: got.append("again"))
+    rig.peer.send(pack(ANSWER))
+    rig.wait(0.01)
+    assert got == [(2, b""), "again"]
+    for drive in (*drives, fd_drive):
+        drive.close(at_rest=True)
+
+
+@pytest.mark.parametrize("is_news", [True, False])
+def test_frame_of_a_drive_is_news_unless_told_otherwise(rig, drive, is_news):
+    drive.handle(ANSWER, lambda data, time_ns: None, is_news=is_news)
+    before = drive.news.count
+    rig.peer.send(pack(ANSWER))
+    rig.wait(0.01)
+    assert drive.news.count - before == (1 if is_news else 0)
+
+
 @pytest.mark.parametrize(("data", "flags"), [(bytes(9), None), (bytes(9), 1), (bytes(65), 1)])
 def test_data_of_impossible_length_are_refused(rig, drive, data, flags):
     with pytest.raises(ValueError, match=rf"101h: {len(data)} bytes of data"):

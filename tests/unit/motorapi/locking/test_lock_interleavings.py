@@ -9,7 +9,7 @@ import pytest
 
 from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.locking.directory import LockDirectory
-from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.lock_file import LockFile, find, held_at
 from motorhil.motorapi.locking.process_lock import ProcessLock
 
 PATIENCE_S = 60.0
@@ -32,12 +32,15 @@ class Turns:
 
 
 class Program(threading.Thread):
-    """A program that stops before each system call until `advance` permits it."""
+    """A program that stops before each system call until `advance` permits it.
 
-    def __init__(self, path, **how):
+    It acquires the lock, or does what `action` does.
+    """
+
+    def __init__(self, path, action=None, **how):
         super().__init__(daemon=True)
         self.lock = ProcessLock("pan", "the pan", LockDirectory(path))
-        self.how, self.hold = how, None
+        self.action, self.how, self.hold = action, how, None
         self.is_over, self.is_killed, self.left = False, False, 0
         self.may_run, self.has_stopped = threading.Semaphore(0), threading.Semaphore(0)
         self.start()
@@ -45,7 +48,10 @@ class Program(threading.Thread):
     def run(self):
         self.may_run.acquire()
         try:
-            self.hold = self.lock.acquire(Turns(), "test", 1.0, **self.how)
+            if self.action is not None:
+                self.action()
+            else:
+                self.hold = self.lock.acquire(Turns(), "test", 1.0, **self.how)
         except (MotorBusyError, Killed):
             pass
         finally:
@@ -125,6 +131,15 @@ def all_pauses(schedule, tmp_path):
             return done
 
 
+def is_attempted(path):
+    """Return True if a stopped program has locked HELD, and is not the holder yet."""
+    file = LockFile(LockDirectory(path), "pan")
+    held = held_at(file.epoch)
+    found = find(file.fd, fcntl.F_RDLCK, held, 1)
+    file.close()
+    return found is not None and found[0] == held
+
+
 def released(path):
     hold = ProcessLock("pan", "the pan", LockDirectory(path)).acquire(Turns(), "before")
     hold.release()
@@ -138,13 +153,14 @@ def test_release_in_a_takeover_gives_nobody_its_token(tmp_path, is_killed):
         was_first = taker.advance(first)
         holder.release()
         was_second = waiter.advance(second)
+        is_attempt = is_attempted(path)
         if is_killed:
             taker.kill()
         taker.advance()
         waiter.advance()
         tokens = judge(path, taker, waiter)
         assert holder.token not in tokens
-        assert tokens or is_killed
+        assert tokens or is_killed or is_attempt  # each gave up while the other one was stopped
         return was_first, was_second
 
     assert all_pauses(schedule, tmp_path) > 100
@@ -193,3 +209,36 @@ def test_release_in_a_takeover_keeps_the_order_of_the_queue(tmp_path):
         return was_first, False
 
     assert all_pauses(schedule, tmp_path) > 10
+
+
+def test_attempt_during_a_takeover_keeps_its_place(tmp_path):
+    """The holder dies in a takeover, and the first in the queue tries at once to follow."""
+    kept = []
+
+    def schedule(path, first, second):
+        directory = LockDirectory(path)
+        before = ProcessLock("pan", "the pan", directory).acquire(Turns(), "before")
+        holder, one, new = (LockFile(directory, "pan") for _ in range(3))
+        places = [file.queue_up() for file in (holder, one)]
+        before.release()
+        assert holder.take(places[0])
+        taker = Program(path, take_over=True)
+        was_first = taker.advance(first)
+        holder.close()
+        taken = []
+        trier = Program(path, lambda: taken.append(one.take(places[1])))
+        was_second = trier.advance(second)
+        taker.advance()
+        trier.advance()
+        if taker.hold is not None:
+            taker.hold.release()
+        if taken == [False]:
+            new.look_up()
+            assert not new.take_at_once(), f"overtaken after {first} and {second} steps"
+            kept.append((first, second))
+        for file in (one, new):
+            file.close()
+        return was_first, was_second
+
+    assert all_pauses(schedule, tmp_path) > 100
+    assert len(kept) > 30

@@ -103,7 +103,7 @@ REFUSALS = [
     (
         "unit = 7",
         "node_id = 7",
-        '15: controller.mast.node_id: bus "rs485" is of kind modbus_rtu: Modbus controllers have a'
+        '15: controller.mast.node_id: bus "rs485" is of kind modbus_rtu: its controllers have a'
         " unit; write unit",
     ),
     (

@@ -247,6 +247,11 @@ def test_deep_nesting_is_refused():
     assert "nested too deeply" in message
 
 
+def test_key_of_many_parts_is_refused_at_its_line():
+    message = refusal("[rig]\nseed = 1\n" + "a." * 2000 + "a (\n[a]\n")
+    assert "rig.toml:3: nested too deeply" in message
+
+
 TOKENS = st.sampled_from(
     [
         *("[", "]", "[[", "]]", "{", "}", "=", ".", ",", '"', "'", '"""', "\n", "#", " ", "\\"),

@@ -6,9 +6,9 @@ import weakref
 import pytest
 
 from motorhil.motorapi.adaptations.canopen.bus import CanopenBus, open_bus, release_bus
-from motorhil.motorapi.adaptations.canopen.link import CanLink, can_frame
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, UsageError
+from motorhil.motorapi.runtime.can_link import CanLink, can_frame
 from motorhil.motorapi.synchronization.bus_load import CanTraffic, declare_traffic
 from tests.support.motors.scripted import FRAME_NS, MS, ScriptedBus, frame, text_of
 

@@ -9,12 +9,12 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.link import CanLink
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError
 from motorhil.motorapi.functions import Polynomial
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.runtime.can_link import CanLink
 from motorhil.motorapi.runtime.can_sources import BusCondition
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory

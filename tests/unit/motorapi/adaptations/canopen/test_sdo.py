@@ -3,9 +3,9 @@
 import pytest
 
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
-from motorhil.motorapi.adaptations.canopen.link import CanLink
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.runtime.can_link import CanLink
 from tests.support.motors.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 
 

@@ -8,9 +8,9 @@ import pytest
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.link import CanLink
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
 from motorhil.motorapi.errors import DeadlineExceeded, MotionInterrupted
+from motorhil.motorapi.runtime.can_link import CanLink
 from tests.support.motors.drive_rigs import drive
 from tests.support.motors.scripted import FRAME_NS, MS, Answer, ScriptedBus, frame
 from tests.support.motors.wheels import go_to, motor_of, truth

@@ -7,9 +7,9 @@ import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi.adaptations.canopen.link import can_frame
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, UsageError
+from motorhil.motorapi.runtime.can_link import can_frame
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.support.motors.software_rigs import (

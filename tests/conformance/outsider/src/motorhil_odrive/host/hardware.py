@@ -57,7 +57,6 @@ class OdriveHwMotor:
         heard: the last received messages.
         stream: the last streamed set-points, or None.
         held: the last commanded position [rev]; None: not known.
-        quick_stopped: whether a quick stop was the last command.
         users: the number of motors built on it from settings; the last one closes it.
 
     Raises:
@@ -77,7 +76,6 @@ class OdriveHwMotor:
         self.options: Final = OdriveOptions() if options is None else options
         self.stream: SetpointStream | None = None
         self.held: float | None = None
-        self.quick_stopped = False
         self.users = 0
         self._feeds = False  # whether this program was the last to command the drive
         self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime)

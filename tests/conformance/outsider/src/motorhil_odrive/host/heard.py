@@ -76,15 +76,6 @@ class Heard:
                 self.version = values
             self.answers[message.command] = values
 
-    def check(self) -> None:
-        """Raise LinkError if the drive was lost, or if the bus is off."""
-        self._drive.check()
-
-    @property
-    def is_lost(self) -> bool:
-        """True if the drive cannot be heard now."""
-        return self._heartbeats.lost_since_ns is not None or self._drive.status.is_off
-
     def is_in(self, *states: int) -> bool:
         """Return whether the last heartbeat has one of these axis states."""
         return self.heartbeat is not None and self.heartbeat.state in states
@@ -126,24 +117,19 @@ class Heard:
         self.heartbeat = now
         if error and not (before is not None and before.error):
             self._fault_since_ns = time_ns
-        is_news = self._heartbeats.came(time_ns) or before is None or before[:4] != now[:4]
-        if self._show() or is_news:
-            self._drive.news.grow()
+        self._heartbeats.came(time_ns)
+        self._show()
 
     def _on_estimates(self, values: tuple[float, ...], time_ns: int) -> None:
         self._before, self.estimate = self.estimate, Estimate(values[0], values[1], time_ns)
         self._estimates.came(time_ns)
-        if self._show():
-            self._drive.news.grow()
+        self._show()
 
-    def _show(self) -> bool:
-        """Update the watch; return whether its command has just ended."""
+    def _show(self) -> None:
+        """Update the watch, and what its end tells."""
         watch, heartbeat, estimate = self.watch, self.heartbeat, self.estimate
         if watch is None or heartbeat is None or estimate is None or watch.is_over():
-            return False
+            return
         watch.see(heartbeat, estimate)
-        if not watch.is_over():
-            return False
-        if watch.references and not watch.failed:
+        if watch.is_over() and watch.references and not watch.failed:
             self.is_homed = True
-        return True

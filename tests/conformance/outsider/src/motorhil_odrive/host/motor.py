@@ -12,14 +12,11 @@ that are functions are refused. Motors start one after another: CANSimple has no
 """
 
 from collections.abc import Callable
-from math import isfinite
 from typing import Final, final
 
 from motorhil.motorapi.api import (
-    ComplexTrajectory,
     ControlMode,
     ControlVariable,
-    DeviceFault,
     Fault,
     Measurement,
     Motion,
@@ -29,14 +26,9 @@ from motorhil.motorapi.api import (
     MotorModel,
     MotorState,
     PeerError,
-    Setpoint,
     StateError,
-    SyncLevel,
-    SyncOffer,
-    Trajectory,
     Trigger,
     UnsupportedError,
-    asks_for_smoothness,
 )
 
 from motorhil_odrive.host import messages as m
@@ -75,20 +67,14 @@ class OdriveMotor(Motor):
         on_close: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.drive.runtime,
             physical=hardware.drive.physical,
+            on_close=on_close,
         )
         self._hardware = hardware
         self._units = Units(model)
-        self._on_close = on_close
-
-    def close(self) -> None:
-        """Close the motor; closing again does nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     @property
     def hardware(self) -> OdriveHwMotor:
@@ -100,27 +86,6 @@ class OdriveMotor(Motor):
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in _SUPPORTED
 
-    def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
-        if isinstance(command, Setpoint):
-            return
-        if isinstance(command, ComplexTrajectory) or asks_for_smoothness(variable, command):
-            raise UnsupportedError(
-                motor=self.name,
-                feature=f"a trajectory of {variable.value} that is a function of time",
-                supported="trapezoids of position, and ramps of velocity and torque",
-            )
-
-    def _sync_offer(self) -> SyncOffer:
-        return SyncOffer(
-            SyncLevel.SEQUENTIAL,
-            self._hardware.label,
-            None,
-            "CANSimple has no signal that starts several drives: each has a frame of its own",
-            no_firing_bound="no bound is reckoned for that frame",
-            no_start_bound="the drive's own cycle is not told",
-            no_end_bound="the drive's own clock is not told",
-        )
-
     def _quantise(self, motion: Motion) -> Motion:
         return self._units.rounded(motion)
 
@@ -129,34 +94,11 @@ class OdriveMotor(Motor):
     def _connect(self) -> None:
         self._hardware.connect()
 
-    def _read_state(self) -> MotorState:
-        hardware = self._hardware
-        heartbeat = hardware.heard.heartbeat
-        if heartbeat is None or hardware.heard.is_lost or hardware.is_closed:
-            return MotorState.OFFLINE
-        if heartbeat.error:
-            return MotorState.FAULT
-        if not hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
-            return MotorState.DISABLED
-        return MotorState.STOPPED if hardware.quick_stopped else MotorState.ENABLED
-
-    def _read_fault(self) -> Fault | None:
+    def _latest_fault(self) -> Fault | None:
         return self._hardware.heard.fault()
 
     def _read_referenced(self) -> bool:
         return self._hardware.heard.is_homed
-
-    def _read_position(self) -> float:
-        self._hardware.heard.check()
-        estimate = self._hardware.heard.estimate
-        assert estimate is not None  # after _connect
-        return estimate.position / self._units.rev
-
-    def _read_velocity(self) -> float:
-        self._hardware.heard.check()
-        estimate = self._hardware.heard.estimate
-        assert estimate is not None
-        return estimate.velocity / self._units.rev
 
     def _read_reference(self) -> float:
         hardware = self._hardware
@@ -170,35 +112,34 @@ class OdriveMotor(Motor):
         return self._hardware.ask(m.TORQUES)[1] / self._units.n_m
 
     def _latest(self) -> Measurement | None:
-        estimate = self._hardware.heard.estimate
-        if estimate is None:
+        heartbeat, estimate = self._hardware.heard.heartbeat, self._hardware.heard.estimate
+        if heartbeat is None or estimate is None:
             return None
+        state = MotorState.DISABLED
+        if heartbeat.error:
+            state = MotorState.FAULT
+        elif self._hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
+            state = MotorState.ENABLED
         rev = self._units.rev
         return Measurement(
-            *(estimate.time_ns, self._read_state(), estimate.position / rev),
-            estimate.velocity / rev,
+            estimate.time_ns, state, estimate.position / rev, estimate.velocity / rev
         )
 
     def _position_source(self) -> str:
         return "encoder estimate, message 09h"
 
     def _refresh(self) -> float | None:
-        """Request a heartbeat, so that it comes sooner than by itself."""
-        if not self._hardware.heard.is_lost and not self._hardware.is_closed:
+        """Request a heartbeat during a command, so that it comes sooner than by itself."""
+        watch = self._hardware.heard.watch
+        if watch is not None and not watch.is_over() and not self._hardware.drive.is_lost:
             self._hardware.ask_for_heartbeat()
         return _REFRESH_S
-
-    def _fault_error(self, fault: Fault) -> DeviceFault:
-        return DeviceFault(
-            motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-        )
 
     # --- power, fault, reference ------------------------------------------------------------
 
     def _enable(self) -> None:
         hardware = self._hardware
         if hardware.heard.is_in(m.CLOSED_LOOP):  # after a quick stop
-            hardware.quick_stopped = False
             return
         hardware.heard.follow(None)
         hardware.tell(m.CONTROLLER_MODE, m.POSITION_CONTROL, m.TRAPEZOID)
@@ -213,12 +154,11 @@ class OdriveMotor(Motor):
         heartbeat = hardware.await_heartbeat(is_answered, _STATE_S)
         fault = hardware.heard.fault()
         if fault is not None:
-            raise self._fault_error(fault)
+            raise fault.as_error(self.name)
         if heartbeat.state != m.CLOSED_LOOP:
             raise PeerError(
                 f"{self.name}: closed loop was refused: {m.result_text(heartbeat.result)}"
             )
-        hardware.quick_stopped = False
 
     def _disable(self) -> None:
         hardware = self._hardware
@@ -226,7 +166,6 @@ class OdriveMotor(Motor):
         hardware.heard.follow(None)
         hardware.tell(m.AXIS_STATE, m.IDLE)
         hardware.await_heartbeat(lambda heard: heard.state == m.IDLE, _STATE_S)
-        hardware.quick_stopped = False
 
     def _reset_fault(self) -> None:
         hardware = self._hardware
@@ -239,7 +178,7 @@ class OdriveMotor(Motor):
         hardware.await_heartbeat(lambda heard: True, _STATE_S)
         fault = hardware.heard.fault()
         if fault is not None:
-            raise self._fault_error(fault)
+            raise fault.as_error(self.name)
 
     def _home(self, method: int | None) -> None:
         hardware = self._hardware
@@ -257,8 +196,6 @@ class OdriveMotor(Motor):
     # --- motion -----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        if motion.function is not None:
-            raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
         hardware = self._hardware
         start = Start(hardware, self._units, self._units.rounded(motion), self.model)
         prepare(start)
@@ -288,12 +225,11 @@ class OdriveMotor(Motor):
 
     def _is_done(self) -> bool:
         hardware = self._hardware
-        hardware.drive.check_open()
-        hardware.heard.check()
+        hardware.drive.check()
         watch = hardware.heard.watch
         fault = hardware.heard.fault()
         if fault is not None:
-            raise self._fault_error(fault)
+            raise fault.as_error(self.name)
         if watch is None:
             return True
         stream = hardware.stream
@@ -316,16 +252,8 @@ class OdriveMotor(Motor):
         return MotionInterrupted(motor=self.name, by=by, at_ns=heartbeat.time_ns)
 
     def _stop(self) -> None:
-        run = self._physical.run
-        motion = None if run is None else run.motion
-        size = self.model.deceleration
-        if motion is not None and motion.variable is not ControlVariable.TORQUE:
-            size = motion.stop_deceleration or motion.deceleration
-        brake(self._hardware, size if isfinite(size) else self.model.deceleration, self._units)
-
-    def _quick_stop(self) -> None:
-        self._hardware.quick_stopped = self._hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING)
-        brake(self._hardware, self.model.deceleration, self._units)
+        size = self._physical.stop_deceleration(self.model.deceleration)
+        brake(self._hardware, size, self._units)
 
     # --- the hardware itself ----------------------------------------------------------------
 

@@ -8,11 +8,11 @@ from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
-from motorhil.motorapi.adaptations.canopen.link import can_frame
 from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
 from motorhil.motorapi.adaptations.cia402.motion_status import RestWatch
 from motorhil.motorapi.adaptations.cia402.node import DriveNode, TpdoDecoder
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.runtime.can_link import can_frame
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import MotorPosition
 from tests.support.motors.drive_rigs import drive

@@ -1,35 +1,28 @@
-"""The logical motor of a polled drive with registers, and its builder.
+"""The logical motor of a polled drive with registers.
 
 The drive makes its profiles itself, and sends nothing without a request. This module follows its
-status while a motion is active, and makes a motor of its hardware object.
+status while a motion is active.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Generic, TypeVar, final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, final
 
-from motorhil.motorapi.adaptations.modbus.client import is_silence
-from motorhil.motorapi.adaptations.modbus.polled_hardware import Poll, PolledHardware, Wanted
-from motorhil.motorapi.api.registration import Shared, read_settings
+from motorhil.motorapi.api.line_exchanges import is_silence
+from motorhil.motorapi.api.polled_hardware import Poll, PolledHardware, Wanted
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
-    DeviceFault,
     LinkError,
     MotionInterrupted,
-    UnsupportedError,
 )
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel
-from motorhil.settings import REQUIRED, number, text, whole
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.adaptations.modbus.client import ByteLine
     from motorhil.motorapi.model import MotorModel
-    from motorhil.motorapi.runtime.api import Runtime
 
 POLL_S: Final = 0.01
 _POLLS_MAX: Final = 2
@@ -42,7 +35,7 @@ _STILL_TURNS: Final = 1 / 500  # or it stays within that distance ...
 _STILL_NS: Final = 50_000_000  # ... for that time, as some drives measure speed coarsely
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
-HardwareT = TypeVar("HardwareT", bound=PolledHardware)
+HardwareT = TypeVar("HardwareT", bound=PolledHardware[Any])
 
 
 @final
@@ -79,19 +72,13 @@ class PolledMotor(Motor, Generic[HardwareT]):
         on_close: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(
-            name=f"{model.name} at {hardware.label}" if name is None else name,
+            name=name,
             model=model,
             runtime=hardware.runtime,
             physical=hardware.physical,
+            on_close=on_close,
         )
         self.hardware: Final = hardware
-        self._on_close = on_close
-
-    def close(self) -> None:
-        """Close the motor; further calls do nothing."""
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     # --- capabilities ----------------------------------------------------------------------
 
@@ -105,7 +92,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
             self.hardware.label,
             None,
             reason,
-            no_firing_bound="the duration of a Modbus exchange is not bounded",
+            no_firing_bound="the duration of an exchange is not bounded",
             no_start_bound="the drive's own cycle is not known",
             no_end_bound="the drive's own clock is not known",
         )
@@ -166,12 +153,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def _read_referenced(self) -> bool:
         return self.hardware.is_referenced
 
-    def _read_position(self) -> float:
-        return self._poll().position
-
-    def _read_velocity(self) -> float:
-        return self._poll().velocity
-
     def _read_reference(self) -> float:
         poll, told = self._poll(), self.hardware.progress
         if poll.state is not MotorState.ENABLED:
@@ -179,10 +160,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
         if told.wanted is Wanted.ARRIVAL and told.target is not None and self._is_near(poll):
             return told.target  # the held target as commanded: rounding must not accumulate
         return poll.demand
-
-    def _read_following_error(self) -> float:
-        poll = self._poll()
-        return poll.demand - poll.position
 
     def _latest(self) -> Measurement | None:
         poll = self.hardware.progress.last
@@ -212,9 +189,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def _raise_fault(self, poll: Poll) -> None:
         fault = poll.fault
         if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
+            raise fault.as_error(self.name)
 
     def _home(self, method: int | None) -> None:
         self.hardware.home(method, self.name)
@@ -223,8 +198,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
     # --- motion -----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        if motion.function is not None:
-            raise UnsupportedError(motor=self.name, feature="a trajectory that is a function")
         self._apply_parameters()
         self.hardware.prepare(motion, self.model)
         state = self.hardware.progress
@@ -242,6 +215,11 @@ class PolledMotor(Motor, Generic[HardwareT]):
     def fire(self) -> None:
         """Start the armed motion; for its trigger."""
         self.hardware.trigger()
+        self.fired()
+
+    @final
+    def fired(self) -> None:
+        """Note that the armed motion was started; for a trigger shared with others."""
         state = self.hardware.progress
         self._begun(state.armed, state.armed_at, state.armed_s)
 
@@ -255,9 +233,6 @@ class PolledMotor(Motor, Generic[HardwareT]):
         state.least_ns = state.started_ns + round(least_s * 1e9)
         state.ended_ns = None
         state.poll = None
-
-    def _disarm(self) -> None:
-        """Do nothing, as nothing starts without a trigger."""
 
     def _confirm(self, motion: Motion) -> None:
         self._poll()
@@ -346,62 +321,3 @@ def _ramp_s(motion: Motion, before: float) -> float:
     slower = abs(before) if turns else max(0.0, abs(before) - abs(motion.target))
     faster = abs(motion.target) if turns else max(0.0, abs(motion.target) - abs(before))
     return slower / motion.deceleration + faster / motion.acceleration
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class PolledTable:
-    """A motor behind a drive on a Modbus line."""
-
-    unit: int = whole(REQUIRED, 1, 247, "", "Server address of the drive.", example="1")
-    name: str | None = text(None, "Name of the motor; absent: the model's.")
-    timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.", plausible=(0.005, 30.0))
-
-
-@final
-class PolledBuilder(Generic[HardwareT]):
-    """The `build` of one make of polled drives (entry point `motorhil.adaptations`).
-
-    Args:
-        hardware: the class of the hardware.
-        motor: the class of the motor.
-    """
-
-    bus_kinds: Final = ("modbus_rtu", "modbus_tcp")
-
-    def __init__(self, hardware: type[HardwareT], motor: "type[PolledMotor[HardwareT]]") -> None:
-        self._hardware = hardware
-        self._motor = motor
-        self._shared: Shared[HardwareT] = Shared("drive")
-
-    def __call__(
-        self,
-        bus: "ByteLine",
-        settings: Mapping[str, object],
-        model: "MotorModel",
-        runtime: "Runtime",
-    ) -> PolledMotor[HardwareT]:
-        """Return the motor described by a settings table.
-
-        Args:
-            bus: the line of the drive.
-            settings: `unit`; `name` (None: the model's); `timeout_s`, the response timeout [s].
-            model: the motor model; its gear ratio must be given.
-            runtime: the runtime to wait with.
-
-        Raises:
-            UsageError: a setting is unknown, missing or invalid.
-        """
-        own = read_settings(PolledTable, settings)
-        hardware = self._shared.get(
-            bus,
-            own.unit,
-            lambda: self._hardware(bus, own.unit, runtime=runtime, timeout_s=own.timeout_s),
-            lambda built: built.registers.timeout_s == own.timeout_s,
-        )
-        return self._motor(
-            hardware,
-            model,
-            name=own.name,
-            on_close=lambda: self._shared.give_back(hardware),
-        )

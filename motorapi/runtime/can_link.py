@@ -1,19 +1,21 @@
 """One CAN bus as the host sends and receives on it: frames, their confirmation, bus status.
 
-Frames are Linux can_frame (16 bytes). Received frames are dispatched by identifier, at the cost of
-one dictionary look-up. Own frames are reported when they were *transmitted*. Arming rests on that:
-SYNC (080h) wins arbitration over any RPDO that still waits (CiA 301 default identifiers), so a SYNC
-sent too early fires without that RPDO.
+Frames are Linux can_frame (16 bytes) or canfd_frame (72 bytes). All hardware objects on one bus
+object share one `CanLink`, which listens once. Received frames are dispatched by identifier, at the
+cost of one dictionary look-up, however many drives there are. Own frames are reported when they
+were *transmitted*. Arming rests on that: SYNC (080h) wins arbitration over any RPDO that still
+waits (CiA 301 default identifiers), so a SYNC sent too early fires without that RPDO.
 """
 
 import struct
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Final, Protocol, Self, final
 
+from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
-from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
 from motorhil.motorapi.runtime.can_sources import ERROR_BYTE, status_of
 
 if TYPE_CHECKING:
@@ -21,18 +23,25 @@ if TYPE_CHECKING:
 
     import can
 
-    from motorhil.motorapi.ownership.fencing import Fence
-
 _EFF: Final = 0x8000_0000
 _RTR: Final = 0x4000_0000
 _ERR: Final = 0x2000_0000
+_ID_MAX: Final = 0x1FFF_FFFF
 _FRAME: Final = struct.Struct("<IB3x8s")
 _ID: Final = struct.Struct("<I")
+_CAN_FRAME_BYTES: Final = 16
 _UNCONFIRMED_MAX: Final = 1000
 _KEPT_MAX: Final = 10_000
 
 FrameHandler = Callable[[bytes, int], None]
 """A callback for frames with one identifier, called with (frame, time_ns)."""
+
+
+class Gate(Protocol):
+    """A gate that passes frames only while their sender may command (a `Fence`)."""
+
+    def send(self, frame: bytes) -> None:
+        """Queue the frame for transmission on the bus, or raise."""
 
 
 def can_frame(can_id: int, data: bytes) -> bytes:
@@ -107,10 +116,39 @@ class Transmissions:
 
 
 @final
-class CanLink:
-    """The host's end of one CAN bus.
+class _Subscribers:
+    """The handlers of frames with one identifier, in the order of their subscription.
 
     Attributes:
+        own: that of `CanLink.handle`, which is one; None: there is none.
+        others: those of `CanLink.subscribe`.
+    """
+
+    def __init__(self) -> None:
+        self.own: FrameHandler | None = None
+        self.others: list[FrameHandler] = []
+
+    def joined(self) -> FrameHandler | None:
+        """Return one handler that calls them all, or None."""
+        all_of = tuple(self.others) if self.own is None else (self.own, *self.others)
+        if len(all_of) < 2:
+            return all_of[0] if all_of else None
+
+        def call_all(frame: bytes, time_ns: int) -> None:
+            for handler in all_of:
+                handler(frame, time_ns)
+
+        return call_all
+
+
+@final
+class CanLink:
+    """The host's end of one CAN bus; `open_link` returns a shared one.
+
+    Attributes:
+        bus: the bus object.
+        runtime: the runtime for waits.
+        users: the number of its users.
         name: the name of the bus in messages ("can0").
         status: the status of the bus, as its CAN controller reports it.
         on_bus_off: callbacks for the transition to bus-off.
@@ -126,14 +164,60 @@ class CanLink:
         self.on_bus_off: Final[list[Callable[[], None]]] = []
         self.on_other: FrameHandler | None = None
         self.confirms: bool = False
+        self.users: int = 0
+        self._subscribers: dict[tuple[bytes, bool], _Subscribers] = {}
         self._handlers: dict[bytes, FrameHandler] = {}
+        self._fd_handlers: dict[bytes, FrameHandler] = {}
         self._sent_handlers: dict[bytes, FrameHandler] = {}
         self._transmissions = Transmissions(self.name)
-        self._registration = runtime.listen(bus, self._on_frame)
+        self._takes_fd = False
+        self._registration: Registration = runtime.listen(bus, self._on_frame)
+
+    def take_fd(self) -> None:
+        """Receive CAN FD frames as well, from now on.
+
+        Raises:
+            UsageError: the bus object was opened for classical CAN.
+        """
+        if not self._takes_fd:
+            before = self._registration
+            self._registration = self.runtime.listen(self.bus, self._on_frame, fd=True)
+            before.cancel()
+            self._takes_fd = True
 
     def handle(self, can_id: int, handler: FrameHandler) -> None:
-        """Dispatch frames with this identifier to `handler`, in place of any previous one."""
-        self._handlers[_ID.pack(can_id)] = handler
+        """Dispatch frames with this identifier to `handler`, in place of the previous one."""
+        key = _ID.pack(can_id)
+        self._of(key, False).own = handler
+        self._join(key, False)
+
+    def subscribe(self, can_id: int, handler: FrameHandler, *, fd: bool = False) -> None:
+        """Dispatch frames with this identifier also to `handler`; `fd`: those of CAN FD too."""
+        key = _ID.pack(can_id)
+        for of_fd in (False, True) if fd else (False,):
+            self._of(key, of_fd).others.append(handler)
+            self._join(key, of_fd)
+
+    def unsubscribe(self, can_id: int, handler: FrameHandler) -> None:
+        """End what `subscribe` began."""
+        key = _ID.pack(can_id)
+        for of_fd in (False, True):
+            if handler in self._of(key, of_fd).others:
+                self._of(key, of_fd).others.remove(handler)
+            self._join(key, of_fd)
+
+    def _of(self, key: bytes, of_fd: bool) -> _Subscribers:
+        return self._subscribers.setdefault((key, of_fd), _Subscribers())
+
+    def _join(self, key: bytes, of_fd: bool) -> None:
+        """Update the table of handlers after a change of the subscribers."""
+        table = self._fd_handlers if of_fd else self._handlers
+        handler = self._of(key, of_fd).joined()
+        if handler is None:
+            table.pop(key, None)
+            del self._subscribers[key, of_fd]
+        else:
+            table[key] = handler
 
     def handle_sent(self, can_id: int, handler: FrameHandler) -> None:
         """Pass own frames with this identifier to `handler` when they were transmitted."""
@@ -144,10 +228,12 @@ class CanLink:
         return _ID.pack(can_id) in self._handlers
 
     def ignore(self, can_id: int) -> None:
-        """Stop dispatching frames with this identifier."""
-        self._handlers.pop(_ID.pack(can_id), None)
+        """End what `handle` began."""
+        key = _ID.pack(can_id)
+        self._of(key, False).own = None
+        self._join(key, False)
 
-    def send(self, frame: bytes, fence: "Fence | None" = None) -> None:
+    def send(self, frame: bytes, fence: Gate | None = None) -> None:
         """Queue a frame for transmission; a commanding frame only if its fence permits it.
 
         Raises:
@@ -170,7 +256,7 @@ class CanLink:
                 raise lost from error
             raise
 
-    def send_tracked(self, frame: bytes, fence: "Fence | None" = None) -> Transmission:
+    def send_tracked(self, frame: bytes, fence: Gate | None = None) -> Transmission:
         """Queue a frame as `send` does; return the transmission, which holds the time of sending.
 
         Either all frames of an identifier must be sent tracked, or none.
@@ -181,7 +267,7 @@ class CanLink:
         """
         return self.send_as(Transmission(frame), fence)
 
-    def send_as(self, transmission: Transmission, fence: "Fence | None" = None) -> Transmission:
+    def send_as(self, transmission: Transmission, fence: Gate | None = None) -> Transmission:
         """Queue a transmission that the caller has made, as `send_tracked` does.
 
         On the wall clock, another thread may hear an answer to the frame before this method has
@@ -208,7 +294,7 @@ class CanLink:
         if self.wait_until(lambda: all_sent(transmissions), timeout_s):
             return
         missing = [one for one in transmissions if one.time_ns is None]
-        can_id = _ID.unpack_from(missing[0].frame)[0]
+        can_id = _ID.unpack_from(missing[0].frame)[0] & _ID_MAX
         hint = ""
         if not self.confirms:
             hint = "; this bus never reported an own frame: open it with receive_own_messages=True"
@@ -251,6 +337,11 @@ class CanLink:
             if self.status.unacknowledged_ns is not None:
                 self.status.sent()
             return
+        if len(frame) != _CAN_FRAME_BYTES:
+            handler = self._fd_handlers.get(frame[:4])
+            if handler is not None:
+                handler(frame, time_ns)
+            return
         handler = self._handlers.get(frame[:4])
         if handler is not None:
             handler(frame, time_ns)
@@ -271,6 +362,31 @@ class CanLink:
     def close(self) -> None:
         """Close the link: nothing is received afterwards."""
         self._registration.cancel()
+
+
+def open_link(bus: "can.BusABC", runtime: Runtime, *, fd: bool = False) -> CanLink:
+    """Return the link of this bus object, made on first use; `release_link` ends the use.
+
+    Raises:
+        UsageError: `fd`, and the bus object was opened for classical CAN.
+    """
+    link = context_of(bus).parts.part(CanLink, lambda: CanLink(bus, runtime))
+    link.users += 1
+    try:
+        if fd:
+            link.take_fd()
+    except BaseException:
+        release_link(link)
+        raise
+    return link
+
+
+def release_link(link: CanLink) -> None:
+    """Count one user of the link less; the last one closes it, not the bus object."""
+    link.users -= 1
+    if link.users == 0:
+        context_of(link.bus).parts.drop(link)
+        link.close()
 
 
 def bus_label(bus: "can.BusABC") -> str:

@@ -17,10 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from math import floor, pi
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, final
 
-from motorhil.motorapi.adaptations.modbus.client import ByteLine, Exchange
-from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
+from motorhil.motorapi.api.line_exchanges import Exchange
+from motorhil.motorapi.api.line_unit import LineUnit
 from motorhil.motorapi.errors import LimitError, UsageError
 from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.state import Fault, MotorState
@@ -101,37 +101,32 @@ class PolledProgress:
     ended_ns: int | None = None
 
 
-class PolledHardware(ABC):
+UnitT = TypeVar("UnitT", bound=LineUnit[Any, Any])
+
+
+class PolledHardware(ABC, Generic[UnitT]):
     """One polled drive, shared by all logical motors and threads of a process.
 
     Each make derives a class with its registers. All methods but the stops may wait.
 
     Args:
-        line: the line of the drive.
-        unit: its server address.
-        runtime: the runtime to wait with.
-        timeout_s: the response timeout [s].
+        registers: the registers of the drive.
 
     Attributes:
-        registers: the registers of the drive.
+        registers: as given.
         progress: the state of its motor.
         users: the number of motors built on it from settings; the last one closes it.
-
-    Raises:
-        UsageError: a hardware object for this drive exists already.
     """
 
-    def __init__(
-        self, line: ByteLine, unit: int, *, runtime: "Runtime", timeout_s: float = 0.2
-    ) -> None:
-        self.registers: Final = ModbusUnit(line, unit, runtime, self, timeout_s)
+    def __init__(self, registers: UnitT) -> None:
+        self.registers: Final[UnitT] = registers
         self.progress: Final = PolledProgress()
         self.users = 0
         self._counts = 0.0  # per turn of the motor; 0: not read yet
         self._asked_at = (-1, 0)  # `standing` at that time
         self._fault_since_ns = 0
         self._quick_stopped = False
-        self._stop: Exchange | None = None
+        self._stop: Exchange[Any, Any] | None = None
         self._position = 0  # in counts, continued beyond the 32 bits of the drive
         self._recounts = False  # the drive sets its counter: not a wrap
 
@@ -283,7 +278,7 @@ class PolledHardware(ABC):
         self._stop = self._post_stop()
 
     @abstractmethod
-    def _post_stop(self) -> Exchange:
+    def _post_stop(self) -> Exchange[Any, Any]:
         """Send a stop, without waiting and without owning the motor."""
 
     @final

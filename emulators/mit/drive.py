@@ -1,0 +1,331 @@
+"""The drive behind MIT frames: an impedance law, its states, watchdog, zero and faults.
+
+The drive has no profile, no limits of velocity and no "target reached". It executes the last
+command in every tick of its servo. Classes that derive from this one add the frames.
+
+Positions count turns of the motor. Without power the turns are lost: an encoder on the rotor then
+knows the output's position only up to a turn of the motor.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from motorhil.emulators.api import (
+    EFF_FLAG,
+    ERR_FLAG,
+    NEVER_NS,
+    RANGES,
+    RTR_FLAG,
+    axis_of,
+    can_id_of,
+    data_of,
+    ns,
+    pack,
+)
+from motorhil.emulators.mit.settings import Firmware, Ranges, RangesTable
+
+OVER_VOLTAGE: Final = 1.25  # of the supply's own voltage
+UNDER_VOLTAGE: Final = 0.7
+OVER_TEMPERATURE_C: Final = 125.0
+LIMP: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def to_code(value: float, limit: float, bits: int, low: float | None = None) -> int:
+    """Return the code of a value over low..limit (None: -limit..limit), truncated, unlimited."""
+    least = -limit if low is None else low
+    return int((value - least) * ((1 << bits) - 1) / (limit - least))
+
+
+def of_code(code: int, limit: float, bits: int, low: float | None = None) -> float:
+    """Return the value of a code; see `to_code`."""
+    least = -limit if low is None else low
+    return code * (limit - least) / ((1 << bits) - 1) + least
+
+
+class MitDrive:
+    """A drive without its frames; derived classes implement `motorhil.emulators.api.Controller`.
+
+    Attributes:
+        axis: the motor.
+        is_on: whether the motor has current.
+        fault: the code of the fault; 0: none.
+    """
+
+    flag = 0  # of its identifiers
+
+    def __init__(self, table: RangesTable, model: tuple[Firmware, Ranges], stream: str) -> None:
+        motor = table.motor(stream)
+        plant = motor.plant
+        self.firmware: Final = model[0]
+        self.ranges: Ranges = table.ranges(model[1])
+        self.node_id: int = table.node_id
+        self.axis: Final = axis_of(motor, motor.oscillator.rate())
+        self.axis.set_thresholds(
+            over_voltage_v=OVER_VOLTAGE * plant.supply_v,
+            under_voltage_v=UNDER_VOLTAGE * plant.supply_v,
+            over_temperature_c=OVER_TEMPERATURE_C,
+        )
+        self.is_on = False
+        self.fault = 0
+        self.now_ns = 0
+        self.revision = 0
+        own_s = table.watchdog_s
+        self.watchdog_ns: int = ns(self.firmware.watchdog_s if own_s is None else own_s)
+        self._boot_up_ns: Final = ns(table.boot_up_s)
+        self._inc_rad: Final = plant.gear_ratio * plant.increments_per_rad()
+        self._n_m_a: Final = plant.gear_ratio * plant.torque_constant_n_m_a
+        self._turn_inc: Final = plant.encoder_increments_rev
+        self._has_extras: Final = plant.extras.is_any()
+        self._command = self._applied = LIMP
+        self._zero_count = 0
+        self._was_left = False  # since the fault
+        self._was_up = self._is_powered = False
+        self._boot_ns = self._due_ns = NEVER_NS
+        self._deaf_ns = 0
+        self._out: list[bytes] = []
+        self._events: list[tuple[str, str]] = []
+
+    # --- of derived classes ------------------------------------------------------------------
+
+    def hear(self, can_id: int, data: bytes) -> None:
+        """Handle a data frame with one of the identifiers."""
+        raise NotImplementedError
+
+    def identifiers(self) -> Sequence[int] | None:
+        """Return the identifiers to which the drive listens."""
+        raise NotImplementedError
+
+    def timed_out(self) -> None:
+        """React to missing commands: the motor is limp until the next one."""
+        self.order(LIMP)
+
+    # --- Controller --------------------------------------------------------------------------
+
+    def start(self, now_ns: int) -> None:
+        """Switch the power on."""
+        self.axis.at(now_ns)
+        self._is_powered = True
+        self._boot_ns = now_ns + self._boot_up_ns
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Handle a frame from the bus; remote frames are not for this drive."""
+        can_id = can_id_of(data)
+        if can_id & (EFF_FLAG | ERR_FLAG | RTR_FLAG) != self.flag or now_ns < self._deaf_ns:
+            return
+        if self._is_powered and self._boot_ns == NEVER_NS:
+            self._at(now_ns)
+            self.hear(can_id & ~self.flag, data_of(data))
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """Handle a transmitted frame of this drive; nothing follows from it."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Return False: calls of `sent` are not needed."""
+        return False
+
+    def next_deadline_ns(self) -> int | None:
+        """Return the latest time of the next call of `expire` [ns]."""
+        due_ns = min(self._boot_ns, self._due_ns)
+        if self.is_on and self._has_extras:
+            due_ns = min(due_ns, self.axis.event_ns(NEVER_NS))
+        return None if due_ns >= NEVER_NS else due_ns
+
+    def expire(self, now_ns: int) -> None:
+        """Boot, notice missing commands and faults of the plant."""
+        if now_ns >= self._boot_ns:
+            self._boot_ns = NEVER_NS
+            self._boot(now_ns)
+        self._at(now_ns)
+        if now_ns >= self._due_ns:
+            self.note("warning", f"no command for {self.watchdog_ns / 1e9:g} s")
+            self.timed_out()
+            self._due_ns = NEVER_NS
+
+    def take_output(self) -> Sequence[bytes]:
+        """Return the frames to queue now."""
+        out, self._out = self._out, []
+        return out
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """Return (level, text) of the events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Set a physical input: load [N m], supply [V], power (1, 0), a fault by its code.
+
+        Raises:
+            ValueError: there is no such stimulus, or the value is invalid.
+        """
+        inputs: dict[str, Callable[[float], None]] = {
+            "load_torque_n_m": self._load,
+            "supply_v": self.axis.set_supply,
+            "power": self._power,
+            "fault": self._inject,
+        }
+        if name not in inputs:
+            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(inputs)}")
+        self._at(now_ns)
+        inputs[name](value)
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """Return the true values at `now_ns`; those in rad and N m are at the gear's output."""
+        axis = self.axis
+        axis.at(now_ns)
+        p, v, kp, kd, t = self._command
+        return {
+            "position_rad": axis.output_position_rad(),
+            "velocity_rad_s": axis.output_velocity_rad_s(),
+            "position_inc": float(axis.position_inc()),
+            "demand_inc": float(axis.demand_inc()),
+            "current_a": axis.current_a(),
+            "torque_n_m": axis.torque_n_m(),
+            "command_position_rad": p,
+            "command_velocity_rad_s": v,
+            "command_kp_n_m_rad": kp,
+            "command_kd_n_m_s_rad": kd,
+            "command_torque_n_m": t,
+            "is_on": float(self.is_on),
+            "fault": float(self.fault),
+            **axis.truth_of_extras(),
+        }
+
+    def identifiers_revision(self) -> int:
+        """Return a number that grows when the identifiers change."""
+        return self.revision
+
+    # --- states ------------------------------------------------------------------------------
+
+    def enable(self) -> None:
+        """Give the motor current, unless a fault remains; the last command acts."""
+        if self.is_on:
+            return
+        if self.fault and not self._was_left:
+            self.note("warning", f"enabling refused: fault {self.fault}; leave motor mode first")
+        elif self.clear():
+            self.is_on = True
+            self.axis.power(True)
+            self._feed()
+            self._apply()
+
+    def leave(self) -> None:
+        """Take the motor's current; it coasts."""
+        self._was_left = True
+        self._off()
+        if not self.firmware.keeps_command:
+            self._command = LIMP
+
+    def clear(self) -> bool:
+        """Clear the fault if its cause is gone; return True if there is none any more."""
+        cause = self._cause()
+        if cause:
+            self.note("warning", f"fault {cause} remains: its cause is still there")
+        else:
+            self.fault = 0
+        return not cause
+
+    def fail(self, code: int) -> None:
+        """Take the motor's current because of a fault."""
+        self.fault = code
+        self._was_left = False
+        self.note("error", f"fault {code}: the motor is off")
+        self._off()
+
+    def set_zero(self) -> None:
+        """Make the present position the zero; a command acts on the new positions."""
+        self._zero_count = self.axis.count()
+        self.axis.set_position(0)
+        self._deaf_ns = self.now_ns + ns(self.firmware.zero_s)
+        if self.is_on:
+            self._apply()
+
+    def order(self, command: tuple[float, float, float, float, float]) -> None:
+        """Obey p [rad], v [rad/s], kp, kd, t [N m] from the next tick on, and while enabled."""
+        self._command = command
+        self._feed()
+        if self.is_on and command != self._applied:
+            self._apply()
+
+    def measured(self) -> tuple[float, float, float]:
+        """Return position [rad], velocity [rad/s] and torque [N m] at the output."""
+        axis = self.axis
+        inc_rad = self._inc_rad
+        return (
+            axis.position_inc() / inc_rad,
+            axis.velocity_inc_s() / inc_rad,
+            axis.torque_n_m(),
+        )
+
+    def temperatures_c(self) -> tuple[float, float]:
+        """Return the temperatures of power stage (as the housing) and winding [degC]."""
+        return self.axis.housing_temperature_c(), self.axis.winding_temperature_c()
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Queue a frame."""
+        self._out.append(pack(can_id | self.flag, data))
+
+    def note(self, level: str, text: str) -> None:
+        """Add an event to the record."""
+        self._events.append((level, text))
+
+    # --- helpers -----------------------------------------------------------------------------
+
+    def _at(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        self.axis.at(now_ns)
+        cause = self._cause() if self.is_on else 0
+        if cause:
+            self.fail(cause)
+
+    def _cause(self) -> int:
+        """Return the code of a fault that the plant causes now, or 0."""
+        active = self.axis.flags
+        return next((code for flag, code in self.firmware.faults.items() if active & flag), 0)
+
+    def _boot(self, now_ns: int) -> None:
+        axis = self.axis
+        axis.at(now_ns)
+        self._command = LIMP
+        if self._was_up:  # turns are lost
+            zero = self._zero_count if self.firmware.keeps_zero else 0
+            half = self._turn_inc // 2
+            axis.set_position((axis.count() - zero + half) % self._turn_inc - half)
+        self._was_up = True
+
+    def _apply(self) -> None:
+        p, v, kp, kd, t = self._applied = self._command
+        inc_rad = self._inc_rad
+        gain = 1.0 / (inc_rad * self._n_m_a)
+        self.axis.follow_impedance(p * inc_rad, v * inc_rad, kp * gain, kd * gain, t / self._n_m_a)
+
+    def _feed(self) -> None:
+        armed = self.is_on and self.watchdog_ns
+        self._due_ns = self.now_ns + self.watchdog_ns if armed else NEVER_NS
+
+    def _off(self) -> None:
+        self.is_on = False
+        self._due_ns = NEVER_NS
+        self.axis.power(False)
+
+    def _load(self, value: float) -> None:
+        low, high = RANGES["load_torque_n_m"]
+        if not low <= value <= high:
+            raise ValueError(f"load_torque_n_m = {value}: out of range; {low:g} to {high:g}")
+        self.axis.set_load(value)
+
+    def _power(self, value: float) -> None:
+        if value not in (0, 1):
+            raise ValueError(f"power = {value}: expected 0 or 1")
+        if not value:
+            self._off()
+            self.fault = 0
+            self._is_powered, self._boot_ns = False, NEVER_NS
+        elif not self._is_powered:
+            self.start(self.now_ns)
+
+    def _inject(self, value: float) -> None:
+        if value not in self.firmware.codes:
+            codes = ", ".join(str(code) for code in self.firmware.codes) or "none"
+            raise ValueError(f"fault = {value}: not a fault of this drive; known: {codes}")
+        self.fail(int(value))

@@ -1,0 +1,160 @@
+"""RobStride's and CyberGear's variant: the same five numbers, in extended frames.
+
+Identifier: type (bits 28 to 24), 16 bits of data, target. All codes have 16 bits, most significant
+first. The torque of a command is in the identifier. Feedback (type 2) answers commands and
+settings; its identifier holds mode and faults. Values of parameters are little endian.
+
+Not emulated: fault reports (type 21) by themselves, run mode csp.
+
+Source: robstride 0.1.0 (client.py); maker's manual as told by public drivers.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from struct import Struct
+from typing import Final, final
+
+from motorhil.emulators.api import (
+    EFF_FLAG,
+    Controller,
+    ControllerContext,
+    controller,
+    on_own_time,
+    read,
+)
+from motorhil.emulators.mit.drive import MitDrive, of_code, to_code
+from motorhil.emulators.mit.settings import ROBSTRIDES, RobstrideTable
+
+GET_ID, MOTION, FEEDBACK, ENABLE, STOP, ZERO, SET_ID = 0, 1, 2, 3, 4, 6, 7
+READ, WRITE = 17, 18
+RUN_MODE, IQ_REF, SPD_REF, LIMIT_TORQUE = 0x7005, 0x7006, 0x700A, 0x700B
+LOC_REF, LIMIT_SPD, LIMIT_CUR = 0x7016, 0x7017, 0x7018
+MECHPOS, IQF, MECHVEL, VBUS = 0x7019, 0x701A, 0x701B, 0x701C
+_FOUR: Final = Struct(">4H")
+_INDEX: Final = Struct("<HH")
+_FLOAT: Final = Struct("<f")
+_RUN: Final = 2
+_STEEP: Final = 1e4  # ramps of position and speed modes [rad/s^2]
+_SERIAL: Final = b"motorhil"
+
+
+@final
+class RobstrideDrive(MitDrive):
+    """Implements `motorhil.emulators.api.Controller`."""
+
+    flag = EFF_FLAG
+
+    def __init__(self, table: RobstrideTable, stream: str) -> None:
+        super().__init__(table, ROBSTRIDES[table.model], stream)
+        plant = table.motor(stream).plant
+        self._inc = plant.gear_ratio * plant.increments_per_rad()
+        self._values: dict[int, float] = {
+            **dict.fromkeys((RUN_MODE, IQ_REF, SPD_REF, LOC_REF), 0.0),
+            **{LIMIT_SPD: 2.0, LIMIT_CUR: plant.current_max_a, LIMIT_TORQUE: self.ranges.t},
+        }
+
+    def identifiers(self) -> Sequence[int] | None:
+        """Return None: the target is in the lower bits of any identifier."""
+        return None
+
+    def hear(self, can_id: int, data: bytes) -> None:
+        """Handle a frame to this drive."""
+        kind, area, target = can_id >> 24, can_id >> 8 & 0xFFFF, can_id & 0xFF
+        if target != self.node_id or kind == FEEDBACK:
+            return
+        if len(data) != 8:
+            self.note("warning", f"type {kind} with {len(data)} bytes is ignored; expected 8")
+        elif kind == GET_ID:
+            self.send(self.node_id << 8 | 0xFE, _SERIAL)
+        elif kind == READ:
+            self._read(data, area & 0xFF)
+        elif kind == SET_ID:
+            self.node_id = area >> 8
+            self.revision += 1
+            self.send(self.node_id << 8 | 0xFE, _SERIAL)
+        elif kind in (MOTION, ENABLE, STOP, ZERO, WRITE):
+            self._feedback(area & 0xFF)
+            self._obey(kind, area, data)
+        else:
+            self.note("warning", f"frames of type {kind} are not emulated")
+
+    def _obey(self, kind: int, area: int, data: bytes) -> None:
+        if kind == MOTION:
+            p, v, kp, kd = _FOUR.unpack(data)
+            r = self.ranges
+            gains = of_code(kp, r.kp, 16, 0.0), of_code(kd, r.kd, 16, 0.0)
+            torque = of_code(area, r.t, 16)
+            if not self._values[RUN_MODE]:
+                self.order((of_code(p, r.p, 16), of_code(v, r.v, 16), *gains, torque))
+        elif kind == ENABLE:
+            self.enable()
+            self._run()
+        elif kind == STOP:
+            self.leave()
+            if data[0] == 1:
+                self.clear()
+        elif kind == ZERO and data[0] == 1:
+            self.set_zero()
+        elif kind == WRITE:
+            self._write(data)
+
+    def _feedback(self, host: int) -> None:
+        r = self.ranges
+        limits = (r.p, r.v, r.t)
+        pairs = zip(self.measured(), limits, strict=True)
+        codes = [min(max(to_code(value, limit, 16), 0), 0xFFFF) for value, limit in pairs]
+        decidegrees = min(max(round(10.0 * self.temperatures_c()[1]), 0), 0xFFFF)
+        mode = _RUN if self.is_on else 0
+        can_id = FEEDBACK << 24 | mode << 22 | self.fault << 16 | self.node_id << 8 | host
+        self.send(can_id, _FOUR.pack(*codes, decidegrees))
+
+    # --- parameters --------------------------------------------------------------------------
+
+    def _read(self, data: bytes, host: int) -> None:
+        index = _INDEX.unpack_from(data)[0]
+        p, v, _ = self.measured()
+        axis = self.axis
+        measured = {MECHPOS: p, MECHVEL: v, IQF: axis.current_a(), VBUS: axis.dc_link_v()}
+        value = {**self._values, **measured}.get(index)
+        if value is None:
+            self.note("warning", f"parameter {index:04X}h is not emulated")
+            return
+        told = bytes((int(value), 0, 0, 0)) if index == RUN_MODE else _FLOAT.pack(value)
+        self.send(READ << 24 | self.node_id << 8 | host, _INDEX.pack(index, 0) + told)
+
+    def _write(self, data: bytes) -> None:
+        index = _INDEX.unpack_from(data)[0]
+        value = float(data[4]) if index == RUN_MODE else _FLOAT.unpack_from(data, 4)[0]
+        if index not in self._values or not isfinite(value):
+            self.note("warning", f"parameter {index:04X}h = {data[4:].hex()} is refused")
+        elif index == RUN_MODE and (value > 3 or self.is_on):
+            self.note("warning", f"run mode {value:g} is refused; 0 to 3, while stopped")
+        else:
+            self._values[index] = value
+            self._run()
+
+    def _run(self) -> None:
+        """Execute the references of run modes 1 to 3; mode 0 has commands."""
+        mode, values, axis = self._values[RUN_MODE], self._values, self.axis
+        if not self.is_on or not mode:
+            return
+        inc, steep = self._inc, _STEEP * self._inc
+        axis.set_current_limit(abs(values[LIMIT_CUR]))
+        if mode == 1:
+            axis.move_to(round(values[LOC_REF] * inc), abs(values[LIMIT_SPD]) * inc, steep, steep)
+        elif mode == 2:
+            axis.run_at(values[SPD_REF] * inc, steep, steep)
+        else:
+            axis.follow_current(values[IQ_REF], 0)
+
+
+@controller(api=1)
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive from its table in a rig.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    table = read(RobstrideTable, settings)
+    stream = context.stream()
+    return on_own_time(RobstrideDrive(table, stream), table.motor(stream).oscillator)

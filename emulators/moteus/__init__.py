@@ -1,0 +1,1 @@
+"""An emulated moteus controller: CAN FD, register subframes, trajectories on board."""

@@ -1,0 +1,109 @@
+"""The logical motor of a Dynamixel servo, and its builder."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.dynamixel.hardware import MODES, DynamixelHwMotor
+from motorhil.motorapi.api import (
+    REQUIRED,
+    ControlMode,
+    ControlVariable,
+    Motion,
+    PeerError,
+    PolledMotor,
+    Shared,
+    SyncLevel,
+    SyncOffer,
+    Trigger,
+    adaptation,
+    number,
+    read_settings,
+    text,
+    whole,
+    word,
+)
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.api import ByteLine, MotorModel, Runtime
+
+
+@final
+class DynamixelMotor(PolledMotor[DynamixelHwMotor]):
+    """A logical motor on a servo; any number of them may share one hardware object."""
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return variable.value == self.hardware.mode
+
+    def _sync_offer(self) -> SyncOffer:
+        return SyncOffer(
+            SyncLevel.TRIGGERED,
+            ("dynamixel", self.hardware.registers.line.name),
+            None,
+            "one sync write starts all servos on the line",
+            no_firing_bound="the wait for a turn on the line is not bounded",
+            no_start_bound="the servo's own cycle is not known",
+            no_end_bound="the servo's own clock is not known",
+        )
+
+    def _arm(self, motion: Motion, *, together: bool) -> Trigger:
+        alone = super()._arm(motion, together=together)
+        if not together:
+            return alone
+        trigger = self.hardware.registers.group
+        trigger.armed[self.hardware] = self.fired
+        return trigger
+
+    def _disarm(self) -> None:
+        self.hardware.registers.group.armed.pop(self.hardware, None)
+
+    def _confirm(self, motion: Motion) -> None:
+        super()._confirm(motion)
+        if not self.hardware.was_started():
+            raise PeerError(
+                f"{self.name}: its registers do not hold the motion after the start; expected those"
+                " of the sync write, which is not acknowledged; start() again"
+            )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DynamixelTable:
+    """A motor behind a Dynamixel servo of the X series on a serial line."""
+
+    unit: int = whole(REQUIRED, 0, 252, "", "Id of the servo.", example="1")
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+    mode: str = word("position", MODES, "mode", "Control variable; the servo has one at a time.")
+    timeout_s: float = number(0.1, 0.001, 60.0, "s", "Response timeout.", plausible=(0.002, 5.0))
+
+
+_shared: Final[Shared[DynamixelHwMotor]] = Shared("servo")
+
+
+@adaptation(api=1, bus_kinds=("serial",))
+def build(
+    bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
+) -> DynamixelMotor:
+    """Return the motor described by a settings table.
+
+    Args:
+        bus: the line of the servo.
+        settings: `unit`; `name`; `mode`; `timeout_s`, the response timeout [s].
+        model: the motor model; its gear_ratio is that of a gear behind the servo.
+        runtime: the runtime to wait with.
+
+    Raises:
+        UsageError: a setting is unknown, missing or invalid.
+    """
+    own = read_settings(DynamixelTable, settings)
+    hardware = _shared.get(
+        bus,
+        own.unit,
+        lambda: DynamixelHwMotor(
+            bus, own.unit, runtime=runtime, mode=own.mode, timeout_s=own.timeout_s
+        ),
+        lambda built: (built.registers.timeout_s, built.mode) == (own.timeout_s, own.mode),
+    )
+    return DynamixelMotor(
+        hardware, model, name=own.name, on_close=lambda: _shared.give_back(hardware)
+    )

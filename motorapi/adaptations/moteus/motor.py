@@ -1,0 +1,518 @@
+"""The adaptation to a moteus: position mode, with the trajectories on board.
+
+A moteus sends nothing by itself, so the hardware object asks it periodically. While a motion goes
+on, it repeats the whole command instead, which feeds the watchdog of the drive: without the host,
+the drive stops. At the end, a command without a watchdog holds the position, so that an idle motor
+needs no program. After a timeout, the motor has current but holds no position; its state is STOPPED
+until `enable`.
+
+Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from math import nan, tau
+from struct import Struct
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+from motorhil.motorapi.api import (
+    REQUIRED,
+    CanDrive,
+    DeviceFault,
+    Fault,
+    LinkError,
+    Measurement,
+    Motion,
+    MotionInterrupted,
+    MotionKind,
+    Motor,
+    MotorBusyError,
+    MotorModel,
+    MotorState,
+    Options,
+    PeerError,
+    PeriodicMessage,
+    SentFrame,
+    Shared,
+    UnsupportedError,
+    UsageError,
+    adaptation,
+    checked_node,
+    number,
+    read_settings,
+    text,
+    whole,
+)
+
+if TYPE_CHECKING:
+    import can
+
+    from motorhil.motorapi.api import Runtime
+
+STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11  # modes
+_OTHERS: Final = (12, 13, 15)  # with current: zero velocity, stay within, brake
+NODE_ID_MAX: Final = 126
+REGISTER_MAP: Final = 5
+_REPLY: Final = 0x8000
+_BROADCAST: Final = 0x7F
+_EXTENDED: Final = 0x8000_0000
+_BRS: Final = 1
+_STANDARD: Final = 0x7FF
+_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of CAN FD
+# Read 000 as int8; 001..003 as float; 00B, 00C and 00F as int8; 038 as float.
+_QUERY: Final = bytes.fromhex("1100 1f01 120b 110f 1d38")
+_STATUS: Final = Struct("<2sb2s3f2s2b2sb2sf")
+_HEADS: Final = tuple(map(bytes.fromhex, ("2100", "2f01", "220b", "210f", "2d38")))
+_IDENTITY: Final = bytes.fromhex("1a8102")  # read 101 and 102 as int32
+_IDENTITY_REPLY: Final = Struct("<3s2i")
+# Write 000 as int8; 020, 021 and 027..029 as float.
+_COMMAND: Final = Struct("<3s2s2f2s3f")
+_COMMAND_HEADS: Final = tuple(map(bytes.fromhex, ("01000a", "0e20", "0f27")))
+_MODE_WRITE: Final = bytes.fromhex("0100")
+_STOP: Final = bytes.fromhex("010000")
+_OUTPUT_ZERO: Final = bytes.fromhex("0db102 00000000")  # write 131 as float
+_STATES: Final = {
+    FAULT: MotorState.FAULT,
+    POSITION: MotorState.ENABLED,
+    **dict.fromkeys((TIMEOUT, *_OTHERS), MotorState.STOPPED),  # with current, at no position
+}
+_FAULTS: Final = {
+    **{32: "calibration", 33: "motor driver", 34: "over-voltage", 35: "encoder"},
+    **{36: "motor not configured (motor.poles)", 37: "PWM cycle overrun", 38: "over-temperature"},
+    **{39: "start outside servopos.position_min and position_max", 40: "under-voltage"},
+    **{41: "configuration changed", 42: "theta invalid", 43: "position invalid"},
+    **{44: "driver enable", 45: "stop position with limits", 46: "timing violation"},
+    **{47: "bemf feedforward without acceleration limit", 48: "invalid limits"},
+    **{49: "position control error", 50: "velocity control error"},
+}
+_ANSWER_S: Final = 0.2
+_CONNECT_S: Final = 1.0
+_ENOUGH: Final = 2  # replies; that of a command itself shows the state before it
+_WINDOW: Final = 0.1  # of the model's tolerance
+_HOME_OUTPUT: Final = 2
+_HERE: Final = (None, 35, 37)  # homing methods: here
+
+
+class Status(NamedTuple):
+    """A reply, in revolutions, and when it was complete on the bus [ns]."""
+
+    mode: int
+    position: float
+    velocity: float
+    torque: float
+    is_done: bool
+    home: int
+    fault: int
+    control: float
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoteusOptions(Options):
+    """The options of a hardware object; in a rig, keys of the motor's table."""
+
+    poll_ms: float = number(10.0, 0, 1e3, "ms", "Period of queries and commands.", above=True)
+    watchdog_ms: float = number(
+        100.0, 0, 1e6, "ms", "The drive stops after this time without its host.", above=True
+    )
+    timeout_ms: float = number(
+        100.0, 0, unit="ms", doc="Time without a reply after which the drive is lost.", above=True
+    )
+    rotor_to_output_ratio: float = number(
+        1.0, 0, 1e9, "", "As in the drive: turns of its output per turn of the motor.", above=True
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoteusTable(MoteusOptions):
+    """A motor behind a moteus."""
+
+    node_id: int = whole(REQUIRED, 1, NODE_ID_MAX, "", "Id of the drive.", example="1")
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+
+
+@final
+class MoteusHwMotor:
+    """One moteus on a CAN FD bus, by id; shared by all logical motors and threads.
+
+    Attributes:
+        drive: its connection.
+        status: the last reply, or None.
+        users: the number of motors built on it from settings; the last one closes it.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        node_id: int,
+        *,
+        runtime: "Runtime | None" = None,
+        options: MoteusOptions | None = None,
+    ) -> None:
+        self.node_id: Final = checked_node(node_id, NODE_ID_MAX, "node_id of a moteus")
+        self.options: Final = MoteusOptions() if options is None else options
+        self.status: Status | None = None
+        self.users = 0
+        self.is_over = True  # the last command
+        self._register_map: int | None = None
+        self._fault_since_ns = 0
+        self._fed: tuple[float, float, float] | None = None  # the motion that goes on
+        self._sent: SentFrame | None = None  # the last command
+        self._replies = 0  # after that
+        self._target: float | None = None
+        self._window = 0.0
+        self._last: tuple[Callable[..., SentFrame], bytes] | None = None
+        self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime, fd=True)
+        self.label: Final = self.drive.label
+        self._life = self.drive.expect("reply", self.options.timeout_ms / 1e3, self._lose)
+        reply_id = node_id << 8
+        self.drive.handle(reply_id | (_EXTENDED if reply_id > _STANDARD else 0), self._on_reply)
+        for destination in (node_id, _BROADCAST):
+            self.drive.handle(destination, self._on_foreign)
+            self.drive.handle(destination | _REPLY | _EXTENDED, self._on_foreign)
+        self.drive.every(self.options.poll_ms / 1e3, self._poll)
+
+    @property
+    def is_closed(self) -> bool:
+        """True after `close`."""
+        return self.drive.is_closed
+
+    def close(self) -> None:
+        """Stop sending and receiving; the watchdog of the drive ends a motion."""
+        self._fed = None
+        self.drive.close(at_rest=self.is_over)
+
+    def connect(self) -> None:
+        """Wait until the drive is heard, and check its register map.
+
+        Raises:
+            LinkError: it is not heard, or this object is closed, or the bus is off.
+            PeerError: its firmware has another register map.
+        """
+        if self.is_up():
+            return
+        lacks = "reply with status and versions"
+        self.drive.connect(self.is_up, lambda: self._ask(_IDENTITY), _CONNECT_S, lacks)
+        if self._register_map != REGISTER_MAP:
+            found, self._register_map = self._register_map, None
+            raise PeerError(
+                f"{self.label}: register map {found}; expected {REGISTER_MAP}; update the firmware"
+            )
+        period_s = self.options.poll_ms / 1e3
+        fd = partial(PeriodicMessage, period_s=period_s, fd=True, bit_rate_switch=True)
+        reply_id = self.node_id << 8
+        self.drive.note_traffic(
+            (fd(reply_id, 32, extended=reply_id > _STANDARD),),
+            (fd(self.node_id | _REPLY, 48, extended=True),),
+        )
+
+    def is_up(self) -> bool:
+        """Return whether all is known that commands need."""
+        known = self.status is not None and self._register_map is not None
+        return known and not self.drive.is_lost
+
+    def fault(self) -> Fault | None:
+        """Return the fault of the last reply, or None."""
+        status = self.status
+        if status is None or status.mode != FAULT:
+            return None
+        text = _FAULTS.get(status.fault, "unknown fault")
+        return Fault(status.fault, text, self._fault_since_ns)
+
+    # --- commands: `command` needs the ownership of the motor, a stop does not
+
+    def move(self, target: float, velocity: float, acceleration: float, window: float) -> None:
+        """Begin a motion, which ends within the window [rev, rev/s, rev/s²]."""
+        self._fed = (target, velocity, acceleration)
+        self._follow(target, window, self.drive.command, self._packed(*self._fed))
+        assert self._sent is not None  # by _follow
+        self.drive.confirm(self._sent)
+
+    def brake(self, deceleration: float, window: float) -> None:
+        """Slow down, then hold; needs no ownership."""
+        data = _packed(nan, -1.0, deceleration, nan)
+        self._fed = None
+        is_obeyed = self.status is not None and self.status.mode in (POSITION, *_OTHERS)
+        self.is_over = not is_obeyed  # it rests, or a timeout has stopped it
+        if is_obeyed:
+            self._follow(None, window, self.drive.stop_command, data)
+
+    def obey(self, data: bytes, is_there: Callable[[Status], bool], awaited: str) -> None:
+        """Send a command, and wait for a reply to a later query that satisfies `is_there`.
+
+        Raises:
+            DeadlineExceeded: there was none.
+        """
+        self._fed, self._target, self.is_over = None, None, True
+        self._last = last = self.drive.command, data
+        since: list[SentFrame] = []
+
+        def is_answered() -> bool:
+            status, sent_ns = self.status, since[0].time_ns
+            if status is None or sent_ns is None:
+                return False
+            is_later = status.time_ns - sent_ns > self.options.poll_ms * 5e5  # not its own reply
+            return is_later and is_there(status)
+
+        self.drive.exchange(
+            lambda: since.append(self._tell(*last)), is_answered, _ANSWER_S, awaited
+        )
+
+    def call_here_zero(self, window: float) -> None:
+        """Make the present position that of the output's zero."""
+        self._fed = None
+        self._follow(None, window, self.drive.command, _OUTPUT_ZERO)
+
+    def _follow(
+        self, target: float | None, window: float, send: Callable[..., SentFrame], data: bytes
+    ) -> None:
+        self._target, self._window, self._replies = target, window, 0
+        self.is_over = False
+        self._last = send, data
+        self._sent = self._tell(send, data)
+
+    def _packed(self, target: float, velocity: float, acceleration: float) -> bytes:
+        return _packed(target, velocity, acceleration, self.options.watchdog_ms / 1e3)
+
+    def _tell(self, send: Callable[..., SentFrame], data: bytes) -> SentFrame:
+        return send(self.node_id | _REPLY | _EXTENDED, _padded(data + _QUERY), flags=_BRS)
+
+    def _ask(self, data: bytes) -> None:
+        self.drive.request(self.node_id | _REPLY | _EXTENDED, _padded(data), flags=_BRS)
+
+    # --- in the background
+
+    def _poll(self) -> None:
+        if self.drive.status.is_off:
+            return
+        with suppress(LinkError):
+            fed, last = self._fed, self._last
+            if fed is None:
+                self._ask(_QUERY)
+                return
+            try:
+                if self._has_arrived():  # hold it, from now on without a watchdog
+                    self._tell(self.drive.command, _packed(*fed, nan))
+                    if self._fed is fed:
+                        self._fed, self.is_over = None, True
+                        self.drive.news.grow()
+                else:
+                    self._tell(self.drive.command, self._packed(*fed))
+            except MotorBusyError:
+                self._fed = None
+            if last is not self._last and self._last is not None:
+                self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
+
+    def _has_arrived(self) -> bool:
+        status, target = self.status, self._target
+        if status is None or self._replies < _ENOUGH:
+            return False
+        is_there = status.mode == POSITION and status.is_done
+        is_near = abs(status.position - status.control) <= self._window
+        return (
+            is_there
+            and is_near
+            and (target is None or abs(status.control - target) <= self._window)
+        )
+
+    def _on_reply(self, data: bytes, time_ns: int) -> None:
+        if len(data) >= _IDENTITY_REPLY.size and data[:3] == b"\x2a\x81\x02":
+            _, _, self._register_map = _IDENTITY_REPLY.unpack_from(data)
+            return
+        if len(data) < _STATUS.size:
+            return
+        values = _STATUS.unpack_from(data)
+        if tuple(one for one in values if isinstance(one, bytes)) != _HEADS:
+            return  # the answer to a query of another program
+        mode, position, velocity, torque, done, home, fault, control = (
+            one for one in values if not isinstance(one, bytes)
+        )
+        before = self.status
+        self.status = Status(
+            mode, position, velocity, torque, bool(done), home, fault, control, time_ns
+        )
+        if mode == FAULT and (before is None or before.mode != FAULT):
+            self._fault_since_ns = time_ns
+        self._life.came(time_ns)
+        sent_ns = None if self._sent is None else self._sent.time_ns
+        if sent_ns is not None and time_ns > sent_ns:
+            self._replies += 1
+        if self._fed is None and not self.is_over:
+            self.is_over = self._has_arrived() or mode < POSITION
+        if mode in (STOPPED, FAULT, TIMEOUT) and self._replies >= _ENOUGH:
+            self._fed = None
+
+    def _on_foreign(self, data: bytes, time_ns: int) -> None:
+        """Handle a command of another program, which gives all in one frame."""
+        if data.startswith(_MODE_WRITE):
+            self._lose()
+            self.drive.overheard(f"mode {data[2:3].hex()}h", time_ns)
+
+    def _lose(self) -> None:
+        self._fed = None
+        self.drive.doubt()
+
+
+def _packed(target: float, velocity: float, acceleration: float, watchdog_s: float) -> bytes:
+    """Return a command of position mode."""
+    first, second, third = _COMMAND_HEADS
+    return _COMMAND.pack(first, second, target, 0.0, third, watchdog_s, velocity, acceleration)
+
+
+def _padded(data: bytes) -> bytes:
+    return data.ljust(next(one for one in _LENGTHS if one >= len(data)), b"\x50")
+
+
+@final
+class MoteusMotor(Motor):
+    """A logical motor on a moteus; several of them may share one hardware object."""
+
+    def __init__(
+        self,
+        hardware: MoteusHwMotor,
+        model: MotorModel,
+        *,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        drive = hardware.drive
+        super().__init__(
+            name=name,
+            model=model,
+            runtime=drive.runtime,
+            physical=drive.physical,
+            on_close=on_close,
+        )
+        if model.gear_ratio is None:
+            raise UsageError(f"motor model {model.name}: gear_ratio is missing; give it")
+        self._hardware = hardware
+        turns = model.gear_ratio * hardware.options.rotor_to_output_ratio
+        is_rotary = model.kind is MotionKind.ROTARY
+        self._rev: Final = turns / (tau if is_rotary else 1.0)  # per rad (or m), signed
+        self._n_m: Final = turns * (1.0 if is_rotary else tau)  # N·m (or N) per N·m of the drive
+        self._window: Final = _WINDOW * model.start_tolerance * abs(self._rev)
+
+    def _connect(self) -> None:
+        self._hardware.connect()
+
+    def _latest(self) -> Measurement | None:
+        status = self._hardware.status
+        if status is None:
+            return None
+        state = _STATES.get(status.mode, MotorState.DISABLED)
+        error = status.control - status.position if status.mode == POSITION else 0.0
+        return Measurement(
+            *(status.time_ns, state, status.position / self._rev, status.velocity / self._rev),
+            *(status.torque * self._n_m, error / self._rev),
+        )
+
+    def _enable(self) -> None:
+        hardware = self._hardware
+        status = hardware.status
+        if status is not None and status.mode == TIMEOUT:
+            hardware.obey(_STOP, lambda one: one.mode == STOPPED, "mode 0")
+        hold = _packed(nan, -1.0, abs(self.model.deceleration * self._rev), nan)
+        hardware.obey(hold, lambda one: one.mode in (FAULT, POSITION), "mode 10")
+        self._check_fault()
+
+    def _disable(self) -> None:
+        self._hardware.obey(_STOP, lambda one: one.mode == STOPPED, "mode 0")
+
+    def _command(self, motion: Motion) -> None:
+        size = abs(self._rev)
+        self._hardware.move(
+            motion.target * self._rev,
+            motion.velocity * size,
+            min(motion.acceleration, motion.deceleration) * size,
+            self._window,
+        )
+
+    def _stop(self) -> None:
+        size = self._physical.stop_deceleration(self.model.deceleration)
+        self._hardware.brake(size * abs(self._rev), self._window)
+
+    # --- capabilities
+
+    def _quantise(self, motion: Motion) -> Motion:
+        """Return the motion with the one acceleration that a moteus has for both ramps."""
+        least = min(motion.acceleration, motion.deceleration)
+        return replace(motion, acceleration=least, deceleration=least)
+
+    def _is_done(self) -> bool:
+        hardware, run = self._hardware, self._physical.run
+        hardware.drive.check()
+        self._check_fault()
+        status = hardware.status
+        if status is None:
+            return run is None
+        is_off = status.mode in (STOPPED, TIMEOUT)
+        if is_off and run is not None and run.motion is not None and not hardware.is_over:
+            by = "its watchdog (mode 11)" if status.mode == TIMEOUT else "the drive, now stopped"
+            raise MotionInterrupted(motor=self.name, by=by, at_ns=status.time_ns)
+        return hardware.is_over
+
+    def _read_reference(self) -> float:
+        status = self._hardware.status
+        if status is None or status.mode != POSITION:
+            return self._read_position()
+        self._hardware.drive.check()
+        return status.control / self._rev
+
+    def _read_fault(self) -> Fault | None:
+        return self._hardware.fault()
+
+    def _reset_fault(self) -> None:
+        self._disable()
+        self._check_fault()
+
+    def _check_fault(self) -> None:
+        fault = self._hardware.fault()
+        if fault is not None:
+            raise DeviceFault(
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+            )
+
+    def _home(self, method: int | None) -> None:
+        if method not in _HERE:
+            feature = f"homing by method {method}"
+            raise UnsupportedError(motor=self.name, feature=feature, supported="35, 37")
+        self._hardware.call_here_zero(self._window)
+
+    def _read_referenced(self) -> bool:
+        status = self._hardware.status
+        return status is not None and status.home == _HOME_OUTPUT
+
+    def _position_source(self) -> str:
+        return "register 001h"
+
+    def _open_low_level(self) -> MoteusHwMotor:
+        return self._hardware
+
+    def _close_low_level(self) -> None:
+        self._hardware.drive.doubt()
+
+
+_SHARED: Final[Shared[MoteusHwMotor]] = Shared("drive")
+
+
+@adaptation(api=1)
+def build(
+    bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
+) -> MoteusMotor:
+    """Build the motor that a table of settings describes; motors on one drive share it.
+
+    Raises:
+        UsageError: a setting is unknown, missing, or wrong.
+    """
+    own = read_settings(MoteusTable, settings)
+    options = own.part(MoteusOptions)
+    hardware = _SHARED.get(
+        bus,
+        own.node_id,
+        lambda: MoteusHwMotor(bus, own.node_id, runtime=runtime, options=options),
+        lambda built: built.options == options,
+    )
+    return MoteusMotor(hardware, model, name=own.name, on_close=lambda: _SHARED.give_back(hardware))

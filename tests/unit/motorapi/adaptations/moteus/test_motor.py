@@ -1,0 +1,296 @@
+"""The adaptation on emulated drives; mjbots' own library is another program on the bus."""
+
+from math import isnan, nan, tau
+from pathlib import Path
+
+import can
+import moteus
+import pytest
+
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
+    ControlMode,
+    DerivativeLimits,
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorState,
+    PeerError,
+    TrapezoidalTrajectory,
+)
+
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+GEAR = 66.0
+REV = GEAR / tau  # turns of the motor per rad
+MODEL = "velocity_max_rad_s = 2.0\nacceleration_max_rad_s2 = 4.0\ngear_ratio = 66.0\n"
+FREE = 'position_min_rev = "none"\nposition_max_rev = "none"\n'
+
+
+def opened(drive=FREE, motor="", model=MODEL, node=1):
+    return Rig(
+        parse_rig(
+            Source(
+                Path("inline.toml"),
+                "[bus.can0]\nbitrate_bit_s = 1_000_000\ndata_bitrate_bit_s = 5_000_000\n"
+                'node.left.frames = "fd"\n'
+                f'[controller.left]\nkind = "moteus"\nbus = "can0"\nnode_id = {node}\n'
+                f'plant = {{ preset = "wheel_60w" }}\n{drive}\n'
+                f'[motor.left]\nadaptation = "moteus"\ncontroller = "left"\n{motor}\n'
+                f"[motor.left.model]\n{model}",
+            ),
+            installed_plugins(),
+        )
+    )
+
+
+@pytest.fixture
+def rig():
+    with opened() as rig:
+        yield rig
+
+
+def another():
+    """Return the bus of another program."""
+    return can.Bus(interface="emulated", channel="can0", fd=True)
+
+
+def true(rig, what="position_rad"):
+    return rig.controllers["left"].snapshot()[what]
+
+
+def go_to(motor, value):
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(value)
+    motor.start()
+
+
+def heard_commands(rig, seconds):
+    """Return the commands on the bus, as the library reads them."""
+    found = []
+    end_ns = rig.runtime.now_ns() + round(seconds * 1e9)
+    with another() as ear:
+        while rig.runtime.now_ns() < end_ns:
+            message = ear.recv(0.001)
+            if message is not None and message.arbitration_id & 0x7F == 1:
+                assert message.is_fd
+                assert message.bitrate_switch
+                registers = moteus.parse_registers(bytes(message.data))
+                assert not registers.errors
+                if registers.command:
+                    found.append(registers.command)
+    return found
+
+
+def test_motor_moves_to_its_target(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    go_to(motor, 1.0)
+    motor.wait_until_done(timeout_s=3)
+    assert true(rig) == pytest.approx(1.0, abs=0.002)
+    assert motor.following_error() == pytest.approx(1.0 - motor.position(), abs=1e-6)
+    rig.runtime.run_for(1.0)  # without a watchdog now
+    assert motor.state() is MotorState.ENABLED
+    assert true(rig) == pytest.approx(1.0, abs=0.002)
+
+
+def test_library_reads_the_commands(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    limits = DerivativeLimits(first=1.0, second=(-2.0, 3.0))
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(0.5, limits=limits))
+    motor.start()
+    commands = heard_commands(rig, 1.2)
+    register = moteus.Register
+    first, last = commands[0], commands[-1]
+    assert first[register.MODE] == moteus.Mode.POSITION
+    assert first[register.COMMAND_POSITION] == pytest.approx(0.5 * REV)
+    assert first[register.COMMAND_VELOCITY] == 0.0
+    assert first[register.COMMAND_VELOCITY_LIMIT] == pytest.approx(REV)
+    assert first[register.COMMAND_ACCEL_LIMIT] == pytest.approx(2.0 * REV)  # the lesser of both
+    assert first[register.COMMAND_TIMEOUT] == pytest.approx(0.1)
+    assert all(
+        one[register.COMMAND_POSITION] == first[register.COMMAND_POSITION] for one in commands
+    )
+    assert isnan(last[register.COMMAND_TIMEOUT])
+    assert len(commands) > 50  # every 10 ms, until it is there
+
+
+def test_stop_slows_down_and_holds(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    go_to(motor, 5.0)
+    rig.runtime.run_for(0.6)
+    before, velocity = true(rig), true(rig, "velocity_rad_s")
+    motor.stop()
+    motor.wait_until_done(timeout_s=2)
+    assert true(rig) - before == pytest.approx(velocity**2 / (2 * 4.0), abs=0.01)
+    here = true(rig)
+    rig.runtime.run_for(1.0)
+    assert true(rig) == pytest.approx(here, abs=0.001)
+    assert motor.state() is MotorState.ENABLED
+
+
+def test_fault_is_told_in_words_and_reset(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    go_to(motor, 1.0)
+    rig.controllers["left"].stimulate("fault", 38)
+    with pytest.raises(DeviceFault, match="over-temperature") as caught:
+        motor.wait_until_done(timeout_s=2)
+    assert caught.value.code == 38
+    assert motor.state() is MotorState.FAULT
+    motor.reset_fault()
+    assert motor.state() is MotorState.DISABLED
+    motor.enable()
+    go_to(motor, 0.2)
+    motor.wait_until_done(timeout_s=2)
+
+
+def test_fresh_board_moves_within_its_bounds_only():
+    with opened(drive="") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        rig.controllers["left"].stimulate("load_torque_n_m", 1.0)
+        motor.disable()
+        rig.runtime.run_for(0.5)
+        assert true(rig) * REV < -0.01
+        with pytest.raises(DeviceFault, match=r"servopos\.position_min") as caught:
+            motor.enable()
+        assert caught.value.code == 39
+
+
+def test_watchdog_stops_the_motor_without_its_host(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    go_to(motor, 5.0)
+    rig.runtime.run_for(0.5)
+    motor.close()
+    rig.runtime.run_for(0.3)
+    assert true(rig, "mode") == 11
+    assert true(rig, "velocity_rad_s") == pytest.approx(0.0, abs=0.05)
+
+
+def test_timeout_is_told_and_left_by_enable(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    with another() as other:
+        library = moteus.Controller(id=1, transport=object())
+        command = library.make_position(position=nan, watchdog_timeout=0.02)
+        send(other, command)
+        rig.runtime.run_for(0.1)
+    assert motor.state() is MotorState.STOPPED
+    motor.enable()
+    assert motor.state() is MotorState.ENABLED
+    go_to(motor, 0.2)
+    motor.wait_until_done(timeout_s=2)
+
+
+def send(bus, command):
+    can_id = (0x8000 if command.reply_required else 0) | command.destination
+    length = next(
+        one for one in (*range(9), 12, 16, 20, 24, 32, 48, 64) if one >= len(command.data)
+    )
+    bus.send(
+        can.Message(
+            arbitration_id=can_id,
+            is_extended_id=can_id > 0x7FF,
+            is_fd=True,
+            bitrate_switch=True,
+            data=command.data.ljust(length, b"\x50"),
+        )
+    )
+
+
+def test_command_of_another_program_interrupts_the_motion(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.3)
+    with another() as other:
+        send(other, moteus.Controller(id=1, transport=object()).make_stop())
+        with pytest.raises(MotionInterrupted, match="mode 00h"):
+            motor.wait_until_done(timeout_s=2)
+        rig.runtime.run_for(0.1)
+        assert motor.state() is MotorState.DISABLED
+
+
+def test_query_of_another_program_disturbs_nothing(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    go_to(motor, 0.5)
+    with another() as other:
+        library = moteus.Controller(id=1, transport=object())
+        for _ in range(100):
+            send(other, library.make_query())
+            rig.runtime.run_for(0.01)
+            if motor.is_done():
+                break
+    assert true(rig) == pytest.approx(0.5, abs=0.003)
+
+
+def test_drive_with_a_high_id_is_heard():
+    with opened(node=9) as rig:
+        rig.motors["left"].enable()
+        assert rig.motors["left"].state() is MotorState.ENABLED
+
+
+def test_ratio_of_the_drive_changes_its_units_only():
+    ratio = "rotor_to_output_ratio = 0.015151515151515152"
+    with opened(drive=f"{FREE}{ratio}", motor=ratio) as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 0.5)
+        motor.wait_until_done(timeout_s=2)
+        assert true(rig) == pytest.approx(0.5, abs=0.002)
+
+
+def test_torque_is_that_of_the_output(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    rig.controllers["left"].stimulate("load_torque_n_m", 1.0)
+    rig.runtime.run_for(0.5)
+    assert motor.torque() == pytest.approx(1.0, abs=0.004 * GEAR)  # less or plus its friction
+
+
+@pytest.mark.parametrize("version", [4, 6])
+def test_other_register_map_is_refused(version):
+    with (
+        opened(drive=f"{FREE}register_map_version = {version}") as rig,
+        pytest.raises(PeerError, match=f"register map {version}; expected 5"),
+    ):
+        rig.motors["left"].enable()
+
+
+def test_silent_drive_is_a_link_error(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    rig.controllers["left"].stimulate("power", 0)
+    rig.runtime.run_for(0.2)
+    with pytest.raises(LinkError, match="no reply"):
+        motor.position()
+    assert motor.state() is MotorState.OFFLINE
+
+
+def test_classical_bus_is_refused():
+    text = (
+        "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
+        '[controller.left]\nkind = "moteus"\nbus = "can0"\n'
+        '[motor.left]\nadaptation = "moteus"\nbus = "can0"\nnode_id = 1\n'
+        f"[motor.left.model]\n{MODEL}"
+    )
+    with (
+        Rig(parse_rig(Source(Path("inline.toml"), text), installed_plugins())) as rig,
+        pytest.raises(RigError, match="opened for classical CAN; open it with fd=True"),
+    ):
+        rig.motors["left"].enable()
+
+
+def test_model_without_gear_ratio_is_refused():
+    with (
+        opened(model="velocity_max_rad_s = 2.0\nacceleration_max_rad_s2 = 4.0\n") as rig,
+        pytest.raises(RigError, match="gear_ratio is missing"),
+    ):
+        rig.motors["left"].enable()

@@ -1,0 +1,205 @@
+"""Packets of Dynamixel Protocol 2.0 in words: instructions, and statuses by what was asked.
+
+Names of items are those of the X series. A status is understood by the last read of its servo, so
+a recording is decoded in order. In a fast read each servo adds a block to one packet; the first
+block follows the header.
+
+Source: the maker's manual of Protocol 2.0.
+"""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple, final
+
+from motorhil.traces.decoding.narrative import BusMessage, Signal
+
+_HEADER: Final = b"\xff\xff\xfd\x00"
+_MARK: Final = _HEADER[:3]
+_STATUS: Final = 0x55
+_BROADCAST: Final = 0xFE
+_ALERT: Final = 0x80
+_NAMES: Final = {
+    **{0x01: "Ping", 0x02: "Read", 0x03: "Write", 0x04: "Reg_Write", 0x05: "Action"},
+    **{0x06: "Factory_Reset", 0x08: "Reboot", 0x10: "Clear", 0x20: "Control_Table_Backup"},
+    **{0x82: "Sync_Read", 0x83: "Sync_Write", 0x8A: "Fast_Sync_Read"},
+    **{0x92: "Bulk_Read", 0x93: "Bulk_Write", 0x9A: "Fast_Bulk_Read"},
+}
+_PING, _READ, _FAST = 0x01, 0x02, (0x8A, 0x9A)
+_WRITES: Final = (0x03, 0x04)
+_SYNC_READS, _SYNC_WRITE = (0x82, 0x8A), 0x83
+_BULK_READS, _BULK_WRITE = (0x92, 0x9A), 0x93
+_ERRORS: Final = (
+    *("none", "Result_Fail", "Instruction", "CRC", "Data_Range", "Data_Length", "Data_Limit"),
+    "Access",
+)
+
+
+@final
+class _Item(NamedTuple):
+    size: int
+    name: str
+    unit: str = ""
+    scale: float = 1.0
+
+
+_SPEED: Final = ("rpm", 15.625 * 60 / 4096)  # register unit: 15.625 counts/s
+_ITEMS: Final = {
+    **{0: _Item(2, "Model_Number"), 6: _Item(1, "Firmware_Version"), 7: _Item(1, "ID")},
+    **{8: _Item(1, "Baud_Rate"), 9: _Item(1, "Return_Delay_Time", "us", 2)},
+    **{10: _Item(1, "Drive_Mode"), 11: _Item(1, "Operating_Mode"), 12: _Item(1, "Secondary_ID")},
+    **{20: _Item(4, "Homing_Offset", "count"), 24: _Item(4, "Moving_Threshold", *_SPEED)},
+    **{31: _Item(1, "Temperature_Limit", "deg C"), 32: _Item(2, "Max_Voltage_Limit", "V", 0.1)},
+    **{34: _Item(2, "Min_Voltage_Limit", "V", 0.1), 36: _Item(2, "PWM_Limit")},
+    **{38: _Item(2, "Current_Limit"), 44: _Item(4, "Velocity_Limit", *_SPEED)},
+    **{48: _Item(4, "Max_Position_Limit", "count"), 52: _Item(4, "Min_Position_Limit", "count")},
+    **{60: _Item(1, "Startup_Configuration"), 63: _Item(1, "Shutdown")},
+    **{64: _Item(1, "Torque_Enable"), 65: _Item(1, "LED"), 68: _Item(1, "Status_Return_Level")},
+    **{69: _Item(1, "Registered_Instruction"), 70: _Item(1, "Hardware_Error_Status")},
+    **{98: _Item(1, "Bus_Watchdog"), 100: _Item(2, "Goal_PWM"), 102: _Item(2, "Goal_Current")},
+    **{104: _Item(4, "Goal_Velocity", *_SPEED)},
+    **{108: _Item(4, "Profile_Acceleration"), 112: _Item(4, "Profile_Velocity")},
+    **{116: _Item(4, "Goal_Position", "count"), 120: _Item(2, "Realtime_Tick", "ms")},
+    **{122: _Item(1, "Moving"), 123: _Item(1, "Moving_Status"), 124: _Item(2, "Present_PWM")},
+    **{126: _Item(2, "Present_Current"), 128: _Item(4, "Present_Velocity", *_SPEED)},
+    **{132: _Item(4, "Present_Position", "count"), 136: _Item(4, "Velocity_Trajectory", *_SPEED)},
+    **{140: _Item(4, "Position_Trajectory", "count")},
+    **{144: _Item(2, "Present_Input_Voltage", "V", 0.1)},
+    **{146: _Item(1, "Present_Temperature", "deg C"), 147: _Item(1, "Backup_Ready")},
+}
+
+
+def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
+    """Return the decoder of the packets from and to one servo."""
+    return _Servo(node_id).decode
+
+
+@final
+class _Servo:
+    """What was asked of one servo."""
+
+    def __init__(self, unit: int) -> None:
+        self._unit = unit
+        self._asked: tuple[int, int] | None = None  # address and length; None: a ping, or nothing
+        self._is_fast = False
+        self._is_ping = False
+
+    def decode(self, data: bytes) -> BusMessage | None:
+        """Return the message in the bytes of one sender, or None if it does not concern it."""
+        if not data.startswith(_HEADER) or len(data) < 10:
+            is_block = self._is_fast and len(data) >= 4 and data[1] == self._unit
+            return self._block(data[:-2]) if is_block else None
+        unit, instruction = data[4], data[7]
+        if unit == _BROADCAST and instruction == _STATUS:
+            return self._block(data[8:-2]) if data[9:10] == bytes((self._unit,)) else None
+        if unit not in (self._unit, _BROADCAST):
+            return None
+        length = int.from_bytes(data[5:7], "little")
+        name = "Status" if instruction == _STATUS else _NAMES.get(instruction, "")
+        name = name or f"Instruction_{instruction:02X}h"
+        if len(data) != 7 + length:
+            return BusMessage(name, problem=f"{len(data)} bytes; {7 + length} are announced")
+        if _crc16(data[:-2]) != data[-2:]:
+            return BusMessage(name, problem="wrong CRC")
+        parameters = data[8:-2].replace(_MARK + b"\xfd", _MARK)
+        if instruction == _STATUS:
+            return self._status(parameters)
+        return self._instruction(name, instruction, parameters)
+
+    def _instruction(self, name: str, code: int, data: bytes) -> BusMessage | None:
+        self._is_fast, self._is_ping = code in _FAST, code == _PING
+        self._asked = None
+        if code == _READ and len(data) == 4:
+            self._asked = _word(data, 0), _word(data, 2)
+            return BusMessage(name, tuple(_named(*self._asked)))
+        if code in _WRITES and len(data) > 2:
+            return BusMessage(name, tuple(_values(_word(data, 0), data[2:])))
+        if code in _SYNC_READS or code == _SYNC_WRITE:
+            return self._sync(name, code, data)
+        if code in _BULK_READS or code == _BULK_WRITE:
+            return self._bulk(name, code, data)
+        return BusMessage(name, (Signal("Data", data.hex(" ").upper(), ""),) if data else ())
+
+    def _sync(self, name: str, code: int, data: bytes) -> BusMessage | None:
+        if len(data) < 4:
+            return BusMessage(name, problem=f"{len(data)} bytes of parameters; 4 are needed")
+        address, length = _word(data, 0), _word(data, 2)
+        step = 1 + length if code == _SYNC_WRITE else 1
+        for at in range(4, len(data), step):
+            if data[at] == self._unit and code == _SYNC_WRITE:
+                return BusMessage(name, tuple(_values(address, data[at + 1 : at + step])))
+            if data[at] == self._unit:
+                self._asked = address, length
+                return BusMessage(name, tuple(_named(address, length)))
+        return None
+
+    def _bulk(self, name: str, code: int, data: bytes) -> BusMessage | None:
+        at = 0
+        while at + 5 <= len(data):
+            address, length = _word(data, at + 1), _word(data, at + 3)
+            mine = data[at] == self._unit
+            at += 5
+            if mine and code == _BULK_WRITE:
+                return BusMessage(name, tuple(_values(address, data[at : at + length])))
+            if mine:
+                self._asked = address, length
+                return BusMessage(name, tuple(_named(address, length)))
+            at += length if code == _BULK_WRITE else 0
+        return None
+
+    def _block(self, data: bytes) -> BusMessage | None:
+        """Return the block of a fast read: error, id, data."""
+        return self._status(data[:1] + data[2:], "Fast_Status")
+
+    def _status(self, data: bytes, name: str = "Status") -> BusMessage:
+        if not data:
+            return BusMessage(name, problem="no error byte")
+        error = data[0] & ~_ALERT
+        told = _ERRORS[error] if error < len(_ERRORS) else f"{error:02X}h"
+        signals = [Signal("Error", told, "")] if error else []
+        signals += [Signal("Alert", 1, "")] if data[0] & _ALERT else []
+        if self._is_ping and len(data) == 4:
+            model = Signal("Model_Number", _word(data, 1), "")
+            signals += [model, Signal("Firmware_Version", data[3], "")]
+        elif self._asked is not None and len(data) == 1 + self._asked[1]:
+            signals += _values(self._asked[0], data[1:])
+        elif len(data) > 1:
+            signals += [Signal("Data", data[1:].hex(" ").upper(), "")]
+        return BusMessage(name, tuple(signals))
+
+
+def _word(data: bytes, at: int) -> int:
+    return int.from_bytes(data[at : at + 2], "little")
+
+
+def _named(address: int, length: int) -> list[Signal]:
+    """Return what is read, without values."""
+    item = _ITEMS.get(address)
+    first = f"{address}" if item is None else item.name
+    return [Signal("From", first, ""), Signal("Length", length, "")]
+
+
+def _values(address: int, data: bytes) -> list[Signal]:
+    """Return the items in the bytes from an address on."""
+    signals, at = list[Signal](), 0
+    while at < len(data):
+        item = _ITEMS.get(address + at)
+        if item is None or at + item.size > len(data):
+            end = next((n for n in range(at + 1, len(data)) if address + n in _ITEMS), len(data))
+            shown = data[at:end].hex(" ").upper()
+            signals.append(Signal(f"Address_{address + at}", shown, ""))
+            at = end
+            continue
+        raw = int.from_bytes(data[at : at + item.size], "little", signed=item.size > 1)
+        value = raw if item.scale == 1.0 else raw * item.scale
+        signals.append(Signal(item.name, value, item.unit))
+        at += item.size
+    return signals
+
+
+def _crc16(data: bytes) -> bytes:
+    """Return the CRC-16 with polynomial 8005h, not reflected."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x8005 if crc & 0x8000 else 0)) & 0xFFFF
+    return crc.to_bytes(2, "little")
