@@ -429,12 +429,25 @@ class MotorHooks(Device, ABC):
         return MotorState.OFFLINE if latest is None else latest.state
 
     def _read_fault(self) -> Fault | None:
-        """Return the fault that the drive reports, or None; by default, one without a code."""
-        if self._read_state() is not MotorState.FAULT:
-            return None
+        """Return the fault that the drive reports, or None.
+
+        By default, that of `_latest_fault` after `_refresh`.
+        """
+        self._refresh()
+        return self._latest_fault()
+
+    def _latest_fault(self) -> Fault | None:
+        """Return the last fault received, or None. Called inside waits: neither wait nor send.
+
+        By default, that of a `_read_fault` of the adaptation, which must then not wait either;
+        without one, a fault without a code.
+        """
+        if implements(self, "_read_fault"):
+            return self._read_fault()
         latest = self._latest()
-        since_ns = self.runtime.now_ns() if latest is None else latest.time_ns
-        return Fault(0, "the drive reports no code", since_ns)
+        if latest is None or latest.state is not MotorState.FAULT:
+            return None
+        return Fault(0, "the drive reports no code", latest.time_ns)
 
     def _read_referenced(self) -> bool:
         """Return True if position 0 is that of the model (homed since power-on)."""
@@ -442,8 +455,7 @@ class MotorHooks(Device, ABC):
 
     def _read_position(self) -> float:
         """Return the measured position [U]; this and the next: those of `_latest` by default."""
-        latest = self.__measure()
-        return self.__present(latest.position, "the position")
+        return self.__present(self.__measure().position, "the position")
 
     def _read_velocity(self) -> float:
         """Return the measured velocity [U/s]."""
@@ -459,7 +471,8 @@ class MotorHooks(Device, ABC):
         """
         run, position = self._physical.run, self._read_position()
         motion = None if run is None or not run.finished else run.motion
-        if motion is None or self._read_state() is not MotorState.ENABLED:
+        latest = self._physical.seen(self._latest())
+        if motion is None or latest is None or latest.state is not MotorState.ENABLED:
             return position
         holds = motion.variable is ControlVariable.POSITION and not motion.final_velocity
         is_there = abs(position - motion.target) <= self.model.start_tolerance
@@ -550,13 +563,12 @@ class MotorHooks(Device, ABC):
         run, latest = self._physical.run, self._latest()
         if latest is None:
             return run is None
-        if latest.state is MotorState.FAULT:
-            fault = self._read_fault() or Fault(0, "", latest.time_ns)
+        fault = self._latest_fault()
+        if fault is not None:
             raise fault.as_error(self.name)
-        is_off = latest.state is MotorState.DISABLED and latest.time_ns > (
-            run.since_ns if run else 0
-        )
-        if is_off and run is not None and run.motion is not None:
+        began_ns = None if run is None or run.is_over or run.motion is None else run.since_ns
+        is_off = latest.state is MotorState.DISABLED
+        if is_off and began_ns is not None and latest.time_ns > began_ns:
             raise MotionInterrupted(motor=self.name, by="the drive, now off", at_ns=latest.time_ns)
         return self.__end.is_over(run, latest)
 

@@ -32,11 +32,11 @@ _MODES: Final = {
 _SLOW: Final = (Capability.COMPLEX_POSITION, Capability.COMPLEX_VELOCITY)
 """Capabilities whose check imports numpy, which takes longer than the first verdicts."""
 _HOOKS: Final = {
-    Capability.LOW_LEVEL: ("_open_low_level",),
-    Capability.HOMING: ("_home",),
-    Capability.FAULTS: ("_read_fault", "_reset_fault"),
+    Capability.LOW_LEVEL: (("_open_low_level",),),
+    Capability.HOMING: (("_home",),),
+    Capability.FAULTS: (("_read_fault", "_latest_fault"), ("_reset_fault",)),
 }
-"""The hooks that make a capability, and claim it where an adaptation implements them."""
+"""The hooks that claim a capability, where an adaptation implements one of each group."""
 _LATE: Final = (_SLOW, (Capability.HOMING,))
 """Groups of capabilities that are read when one of them is needed; homing changes the motor."""
 _HERE: Final = (37, 35)
@@ -121,7 +121,7 @@ def _claims(motor: Motor, capability: Capability) -> bool:
     if capability in _READINGS:
         return _reads(_READINGS[capability], motor)
     if capability in _HOOKS:
-        return all(implements(motor, hook) for hook in _HOOKS[capability])
+        return all(any(implements(motor, hook) for hook in one) for one in _HOOKS[capability])
     if capability is Capability.COMMON_TRIGGER:
         return motor.logical.hooks.sync_offer().level >= SyncLevel.TRIGGERED
     if capability is Capability.COMPLEX_POSITION:

@@ -26,7 +26,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar, final
+from typing import TYPE_CHECKING, ClassVar, Final, Generic, Protocol, TypeVar, final
 
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -179,7 +179,10 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         strays: the number of answers that matched no request.
         reconnections: the number of connections made in place of broken ones.
         users: the number of hardware objects that use the line.
+        HAS_SILENCES: whether the protocol separates its frames by silences of the line.
     """
+
+    HAS_SILENCES: ClassVar[bool] = True
 
     def __init__(self, line: ByteLine, runtime: Runtime, lock: "ProcessLock | None") -> None:
         self.line: Final = line
@@ -424,7 +427,7 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
             self._is_broken = True
             self._fail_all(LinkError(link=self.name, reason="the connection has ended"))
             return
-        self._silent_ns = time_ns + self.line.silence_ns
+        self._silent_ns = time_ns + (self.line.silence_ns if self.HAS_SILENCES else 0)
         self._unanswered_ns = -1
         exchange = self._active
         owed = self._owed[0] if len(self._owed) == 1 else None  # of several, their order is unknown

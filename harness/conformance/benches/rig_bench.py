@@ -1,6 +1,6 @@
 """An emulated rig in virtual time as a bench, with all abilities."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, partial
@@ -9,12 +9,14 @@ from typing import Final, Self, final
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack, pack_fd
+from motorhil.emulators.dynamixel.packets import Instruction, packet
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.verdicts.observation import Observation
-from motorhil.harness.rig.config.buses import BusDescription
+from motorhil.harness.plugins import DECODERS, installed
+from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
@@ -24,6 +26,7 @@ from motorhil.harness.rig.rig import Rig
 from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.motorapi import Motor, MotorError, UsageError
+from motorhil.traces.decoding.narrative import BusMessage
 
 SECOND_USER: Final = "another"
 _READER: Final = "reader"
@@ -41,6 +44,7 @@ _STOPS: Final = {  # commands of another program: by SDO to 6040h, halt; by the 
     "cia402": bytes.fromhex("2B 40 60 00 0F 01 00 00"),
     "leadshine_pr": bytes.fromhex("06 60 02 00 40"),
     "oriental_az": bytes.fromhex("10 00 7C 00 02 04 00 00 00 20"),
+    "dynamixel": bytes.fromhex("40 00 00"),  # torque off
 }
 _SDO_REQUEST: Final = 0x600  # + node-ID
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
@@ -215,6 +219,8 @@ class RigBench:
             kind = self._description.controllers[first.controller].kind
             if kind in _CANOPEN or self._is_on_a_line(self.motor):
                 able |= {Ability.TRAFFIC, Ability.LATE}
+            if self._is_plain(self.motor) and kind not in installed(DECODERS):
+                able.remove(Ability.TRAFFIC)
             if not self._is_on_a_line(self.motor):
                 able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
             if kind in _CANOPEN:
@@ -397,7 +403,9 @@ class RigBench:
         """Halt a CiA 402 drive by SDO, or stop a Modbus drive by its registers."""
         described = self._description.controllers[self._controller(motor)]
         node, command = described.node_id or 0, _STOPS[described.kind]
-        if self._is_on_a_line(motor):
+        if described.kind == "dynamixel":
+            self.rig.line(self._bus(motor)).send(packet(node, Instruction.WRITE, command))
+        elif self._is_on_a_line(motor):
             self.rig.line(self._bus(motor)).send(with_crc(bytes((node,)) + command))
         else:
             port = self.rig.world.add_host(self._bus(motor), "another", lambda *_: None)
@@ -417,7 +425,9 @@ class RigBench:
         seen: list[str] = []
         bus = self._bus(motor)
         address = self._description.controllers[self._controller(motor)].node_id
-        head = 6 if self._description.buses[bus].kind == "modbus_tcp" else 0
+        kind = self._description.buses[bus].kind
+        head = 6 if kind == MODBUS_TCP else 0
+        describe = self._decoder(motor) if kind == SERIAL else None
         listening = [True]
 
         def on_frame(where: str, _time_ns: int, sender: str, frame: bytes) -> None:
@@ -429,9 +439,15 @@ class RigBench:
         def on_adu(
             where: str, _now: int, _first: int, _last: int, sender: str, adu: bytes, _: bool
         ) -> None:
+            if not listening or where != bus or not sender.startswith(HOST):
+                return
+            if describe is not None:
+                message = describe(adu)
+                if message is not None and "Write" in message.name:
+                    seen.append(str(message))
+                return
             unit, function = adu[head : head + 2]
-            is_to_it = where == bus and sender.startswith(HOST) and unit == address
-            if listening and is_to_it and function in _MODBUS_WRITES:
+            if unit == address and function in _MODBUS_WRITES:
                 seen.append(f"function {function:02X}h")
 
         self.rig.world.tap_frames(on_frame)
@@ -454,6 +470,17 @@ class RigBench:
 
     def _is_on_a_line(self, motor: Motor) -> bool:
         return self._description.buses[self._bus(motor)].is_line
+
+    def _is_plain(self, motor: Motor) -> bool:
+        return self._description.buses[self._bus(motor)].kind == SERIAL
+
+    def _decoder(self, motor: Motor) -> Callable[[bytes], BusMessage | None]:
+        """Return the decoder of the motor's drive."""
+        described = self._description.controllers[self._controller(motor)]
+        decode: Callable[[bytes], BusMessage | None] = installed(DECODERS)[described.kind].load()(
+            described.node_id
+        )
+        return decode
 
     def _prefix(self, motor: Motor) -> str:
         """Return the prefix of the motor's channel in names of stimuli and true values."""
@@ -495,7 +522,10 @@ class RigBench:
 
     @contextmanager
     def _rule(self, motor: Motor, wanted: FaultRule) -> Iterator[Lost]:
-        """Inject this fault on the motor's bus; on a line, lose all messages of the sender."""
+        """Inject this fault on the motor's bus; on a line, lose all messages of the sender.
+
+        On a serial line, all of them: a unit's own could be told by its protocol only.
+        """
         self._rules += 1
         name, bus = f"conformance {self._rules}", self._bus(motor)
         rule: FaultRule | SerialFaultRule = replace(wanted, name=name)
@@ -505,7 +535,7 @@ class RigBench:
                 name,
                 SerialFaultKind.DELAY if wanted.delay_ns else SerialFaultKind.LOSE,
                 sender=wanted.sender,
-                unit=unit,
+                unit=None if self._is_plain(motor) else unit,
                 skip=wanted.skip,
                 limit=wanted.limit,
                 delay_ns=wanted.delay_ns,

@@ -351,7 +351,7 @@ class MydriveMotor(Motor):
             deceleration=down(motion.deceleration),
         )
 
-    def _read_fault(self) -> Fault | None:
+    def _latest_fault(self) -> Fault | None:
         return self._hardware.fault()
 
     def _reset_fault(self) -> None:

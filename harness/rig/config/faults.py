@@ -17,7 +17,7 @@ from motorhil.emulators.can.fault_rules import (
 from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.emulators.simulation.can_network import HOST as INTERFACE
-from motorhil.harness.rig.config.buses import MODBUS_TCP, BusDescription
+from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.toml import Table
 from motorhil.settings import (
     REQUIRED,
@@ -302,6 +302,10 @@ def _fault(
     if on.kind not in kinds:
         problem = f'unknown fault kind "{on.kind}" (known: {listed(kinds)})'
         raise table.error("kind", problem, nearest(on.kind, kinds))
+    for key in ("unit", "function") if bus.kind == SERIAL else ():
+        if table.has(key):
+            problem = f'bus "{on.bus}" is of kind {SERIAL}, whose protocol is not known'
+            raise table.error(key, problem, "write sender instead")
     for key in _CAN_KEYS if bus.is_line else _LINE_KEYS:
         if table.has(key):
             problem = f'bus "{on.bus}" is {"" if bus.is_line else "not "}a line'

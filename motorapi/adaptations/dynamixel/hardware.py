@@ -59,6 +59,7 @@ _ROUNDING: Final = 1e-9
 MODES: Final = {"position": 4, "velocity": 1}
 _TIME_BASED: Final = 0x04  # of the drive mode
 _MODEL, _DRIVE_MODE, _MODE, _TORQUE, _WATCHDOG = 0, 10, 11, 64, 98
+_TRIPPED: Final = 0xFF  # in the register of the bus watchdog
 _GOAL_VELOCITY, _RAMP_AT, _GOAL, _TRAJECTORY = 104, 108, 116, 136
 _FROM, _UNTIL = 64, 144  # the registers of a poll
 _X_SERIES: Final = (
@@ -109,6 +110,8 @@ class DynamixelLine(ExchangeLine[Request, Status]):
     Attributes:
         start: the trigger of groups on this line.
     """
+
+    HAS_SILENCES: ClassVar[bool] = False
 
     def __init__(self, line: ByteLine, runtime: "Runtime", lock: "ProcessLock | None") -> None:
         super().__init__(line, runtime, lock)
@@ -232,11 +235,12 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         state = state if is_on else MotorState.DISABLED
         profile_runs = bool(seen[123 - _FROM] & 2)
         demand_speed = self._at(_TRAJECTORY, 4)
-        is_moving = bool(self._at(122, 1)) or profile_runs
+        is_moving = bool(self._at(122, 1)) or profile_runs or demand_speed != 0
         self._stop_again(is_moving)
         position = self._at(132, 4)
         demand = self._at(_TRAJECTORY + 4, 4) if is_on and self.mode == "position" else position
         goal_speed = self._at(_GOAL_VELOCITY, 4)
+        runs = self.mode == "velocity" and goal_speed != 0 and self._at(_WATCHDOG, 1) != _TRIPPED
         return Poll(
             time_ns=self.runtime.now_ns(),
             state=MotorState.FAULT if fault is not None else state,
@@ -245,7 +249,7 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
             demand=(demand - CENTRE) / per_unit,
             velocity=self._at(128, 4) * _SPEED / per_unit,
             is_moving=is_moving,
-            has_arrived=not is_moving,
+            has_arrived=not is_moving and not runs,
             at_velocity=is_on and abs(demand_speed - goal_speed) <= 1,
         )
 

@@ -80,7 +80,7 @@ class DynamixelTable:
 _shared: Final[Shared[DynamixelHwMotor]] = Shared("servo")
 
 
-@adaptation(api=1, rig="rig.toml", bus_kinds=("serial",))
+@adaptation(api=1, bus_kinds=("serial",))
 def build(
     bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
 ) -> DynamixelMotor:

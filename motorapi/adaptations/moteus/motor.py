@@ -29,6 +29,7 @@ from motorhil.motorapi.api import (
     Motion,
     MotionInterrupted,
     MotionKind,
+    MotionTimes,
     Motor,
     MotorBusyError,
     MotorModel,
@@ -38,6 +39,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     Shared,
+    SyncOffer,
     UnsupportedError,
     UsageError,
     adaptation,
@@ -158,6 +160,7 @@ class MoteusHwMotor:
     Attributes:
         drive: its connection.
         status: the last reply, or None.
+        started_ns, ended_ns: when the last motion began and ended [ns]; None: not known.
         users: the number of motors built on it from settings; the last one closes it.
     """
 
@@ -174,6 +177,8 @@ class MoteusHwMotor:
         self.status: Status | None = None
         self.users = 0
         self.is_over = True  # the last command
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
         self._register_map: int | None = None
         self._fault_since_ns = 0
         self._fed: Order | None = None  # repeated, as the motion goes on
@@ -244,7 +249,13 @@ class MoteusHwMotor:
         """Begin a motion, which ends within the window [rev or rev/s]."""
         self._fed = order
         data = order.packed(self.options.watchdog_ms / 1e3)
-        self.drive.confirm(self._follow(order, window, self.drive.command, data))
+        sent = self._follow(order, window, self.drive.command, data)
+        self.started_ns, self.ended_ns = self.drive.confirm(sent), None
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the command of a motion."""
+        length = len(_padded(hold(0.0).packed(0.0) + _QUERY))
+        return self.drive.start_offer(self.node_id | _REPLY | _EXTENDED, length, flags=_BRS)
 
     def brake(self, deceleration: float, window: float) -> None:
         """Slow down, then hold; needs no ownership."""
@@ -318,6 +329,8 @@ class MoteusHwMotor:
             if last is not self._last and self._last is not None:
                 self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
             elif has_arrived and self._fed is fed:
+                if not self.is_over:
+                    self.ended_ns = self.drive.runtime.now_ns()
                 self._fed, self.is_over = None if holds else fed, True
                 self.drive.news.grow()
 
@@ -448,6 +461,14 @@ class MoteusMotor(Motor):
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in (ControlVariable.POSITION, ControlVariable.VELOCITY)
+
+    def _sync_offer(self) -> SyncOffer:
+        return self._hardware.start_offer()
+
+    def _motion_times(self) -> MotionTimes | None:
+        started_ns, ended_ns = self._hardware.started_ns, self._hardware.ended_ns
+        source = "its command on the wire; trajectory complete in a reply"
+        return MotionTimes(started_ns, ended_ns, source, latched_ns=started_ns)
 
     def _quantise(self, motion: Motion) -> Motion:
         """Return the motion with the one acceleration that a moteus has for both ramps."""

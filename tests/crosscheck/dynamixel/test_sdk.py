@@ -24,6 +24,9 @@ from dynamixel_sdk import (
     PortHandler,
 )
 
+from motorhil.motorapi import ControlMode, MotorModel
+from motorhil.motorapi.adaptations.dynamixel import DynamixelHwMotor, DynamixelMotor
+from motorhil.motorapi.runtime.byte_streams import SerialLine
 from tests.support.dynamixel.bench import Bench, SdkPort
 from tests.system.wall.test_serve import MOTORHIL
 
@@ -213,3 +216,25 @@ def test_sdk_drives_a_served_rig_on_a_terminal(served, sdk):
             break
     else:
         pytest.fail("the motor does not arrive")
+
+
+@pytest.mark.wall
+def test_own_motor_drives_a_served_rig_on_a_terminal(served):
+    served.closePort()
+    line = SerialLine(served.getPortName(), baud_bit_s=57_600, parity="N")
+    hardware = DynamixelHwMotor(line, 2, runtime=line.wall, timeout_s=2.0)
+    motor = DynamixelMotor(
+        hardware, MotorModel(velocity_max=4.0, acceleration_max=8.0, gear_ratio=1.0)
+    )
+    try:
+        motor.set_control_mode(ControlMode.SETPOINT)
+        motor.set_setpoint(0.5)
+        motor.start()
+        motor.wait_until_done(20)
+        assert motor.position() == pytest.approx(0.5, abs=0.005)
+        motor.disable()
+    finally:
+        motor.close()
+        hardware.close()
+        line.close()
+    served.openPort()

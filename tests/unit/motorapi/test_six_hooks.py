@@ -1,5 +1,7 @@
 """A motor whose adaptation implements the six hooks that are a must, and nothing else."""
 
+from dataclasses import fields
+
 import pytest
 
 from motorhil.motorapi.commands import ControlMode, DerivativeLimits
@@ -12,10 +14,12 @@ from motorhil.motorapi.errors import (
     UsageError,
 )
 from motorhil.motorapi.group import MotorGroup
+from motorhil.motorapi.hooks import Hooks
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
+from tests.support.checkout import CHECKOUT
 from tests.support.motors.plain import MODEL, PlainHwMotor, fault_now
 
 
@@ -142,6 +146,26 @@ def test_fault_without_a_code_is_reported(motor, hw):
         motor.reset_fault()
 
 
+class PolledMotor(SixMotor):
+    """A motor whose drive must be asked, which waits."""
+
+    def _refresh(self):
+        self.runtime.wait_until(lambda: False, 0.001)
+        return 0.01
+
+    def _latest_fault(self):
+        return self.hw.fault
+
+
+def test_fault_of_a_polled_motor_ends_its_wait(hw):
+    motor = PolledMotor(hw)
+    move(motor, 1.0, wait=False)
+    fault_now(hw)
+    with pytest.raises(DeviceFault, match="communication"):
+        motor.wait_until_done(timeout_s=1.0)
+    assert motor.fault() == hw.fault
+
+
 def test_power_lost_in_a_motion_interrupts_it(motor, hw):
     move(motor, 1.0, wait=False)
     hw.freeze()
@@ -192,3 +216,9 @@ def test_command_that_no_default_can_follow_is_refused(motor):
     motor.set_control_mode(ControlMode.TRAJECTORY)
     with pytest.raises(UnsupportedError, match="limited jerk"):
         motor.set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=1.0)))
+
+
+def test_every_hook_is_on_the_page_of_the_api():
+    page = (CHECKOUT / "docs" / "reference" / "adaptation.md").read_text()
+    hooks = {field.name for field in fields(Hooks)} - {"plugin"} | {"command", "latest_fault"}
+    assert [hook for hook in sorted(hooks) if f"`_{hook}(" not in page] == []

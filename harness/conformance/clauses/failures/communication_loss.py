@@ -125,6 +125,7 @@ def drive_without_host_comes_to_rest(bench: RigProtocol) -> None:
 @clause(
     "LOST-04",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench=_CABLE,
     source="MotorHooks._connect; Sharing and locking, at most once",
 )
@@ -147,6 +148,7 @@ def restored_cable_starts_no_motion(bench: RigProtocol) -> None:
 @clause(
     "LOST-05",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench={*_CABLE, Ability.LOAD},
     source="MotorHooks._read_state; MotorHooks._enable, it holds its position",
 )
@@ -186,6 +188,7 @@ def _expect_true_state(bench: RigProtocol, when: str) -> None:
 @clause(
     "LOST-06",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench=_CABLE,
     source="requirement 4 of the paper; Sharing and locking, at most once",
 )

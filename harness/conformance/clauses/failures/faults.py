@@ -184,7 +184,7 @@ def fault_at_rest_is_reported(bench: RigProtocol) -> None:
 @clause(
     "FAULT-05",
     Level.L5,
-    needs={Capability.FAULTS},
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.FAULT, Ability.AFRESH},
     source="CiA 402-2, fault reaction; Motor.wait_until_done, DeviceFault",
 )

@@ -166,7 +166,7 @@ def setpoint_velocity_limit_is_kept(bench: RigProtocol) -> None:
     """Each set-point's own velocity limit is kept, even between two steps of the hardware."""
     motor, model = bench.motor, bench.motor.model
     for share in (0.5, 0.0017, 0.0023):
-        limit = share * model.velocity_max
+        limit = max(share * model.velocity_max, (1.3 + share) * (model.velocity_unit or 0.0))
         way = min(0.3 * long_move(bench), 2.0 * limit)
         aim(motor, way, relative=True, limits=DerivativeLimits(first=limit))
         samples = sample_positions(bench, motor, 1.0)

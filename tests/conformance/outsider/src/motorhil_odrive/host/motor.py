@@ -94,7 +94,7 @@ class OdriveMotor(Motor):
     def _connect(self) -> None:
         self._hardware.connect()
 
-    def _read_fault(self) -> Fault | None:
+    def _latest_fault(self) -> Fault | None:
         return self._hardware.heard.fault()
 
     def _read_referenced(self) -> bool:

@@ -1,0 +1,157 @@
+"""Motors on emulated Dynamixel servos: groups, modes, stops, and refusals."""
+
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import (
+    ControlMode,
+    ControlVariable,
+    LimitError,
+    Motor,
+    MotorGroup,
+    MotorState,
+    PeerError,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+)
+from motorhil.motorapi.adaptations.dynamixel import hardware
+from tests.support.kit_benches import RIGS
+
+TEXT = (RIGS / "dynamixel.toml").read_text()
+
+
+@contextmanager
+def opened(text=TEXT):
+    description = parse_rig(Source(Path("rig.toml"), text), installed_plugins())
+    with Rig(description, seed=1) as rig:
+        yield rig
+
+
+@pytest.fixture
+def rig():
+    with opened() as one:
+        yield one
+
+
+def sent(rig):
+    """Return the list that gets the packets of the host, in hex."""
+    found: list[str] = []
+    rig.world.tap_lines(
+        lambda _, now_ns, start_ns, end_ns, sender, data, spoiled: (
+            found.append(data.hex().upper()) if sender.startswith("host") else None
+        )
+    )
+    return found
+
+
+def test_group_starts_by_one_sync_write(rig):
+    left, right = rig.motors["left"], rig.motors["right"]
+    group = MotorGroup(left, right)
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-1.0))
+    packets = sent(rig)
+    group.start()
+    starts = [packet for packet in packets if packet[14:16] == "83"]
+    assert len(starts) == 1
+    assert starts[0][16:24] == "6C000C00"  # 108, 12 bytes
+    group.wait_until_done(timeout_s=5)
+    assert [one.position() for one in (left, right)] == pytest.approx([0.5, -1.0], abs=0.004)
+    assert group.sync_quality().start_skew_s == 0.0
+
+
+def test_lost_sync_write_is_reported_by_start(rig):
+    group = MotorGroup(rig.motors["left"], rig.motors["right"])
+    group.for_each(Motor.enable)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-1.0))
+    tell = rig.motors["left"].hardware.registers.line.tell
+
+    def lost(request, unit, *owned):
+        return 0
+
+    rig.motors["left"].hardware.registers.line.tell = lost
+    with pytest.raises(PeerError, match="sync write, which is not acknowledged"):
+        group.start()
+    rig.motors["left"].hardware.registers.line.tell = tell
+
+
+def test_stop_brakes_with_the_ramp_and_stays(rig):
+    left = rig.motors["left"]
+    left.set_control_mode(ControlMode.TRAJECTORY)
+    left.set_trajectory(TrapezoidalTrajectory(3.0))
+    left.enable()
+    left.start()
+    rig.runtime.run_for(0.4)
+    left.stop()
+    left.wait_until_done(timeout_s=2)
+    at = left.position()
+    assert 0.5 < at < 2.9
+    rig.runtime.run_for(0.5)
+    assert left.position() == pytest.approx(at, abs=0.003)  # it came back by a count at most
+    assert left.state() is MotorState.ENABLED
+
+
+def test_velocity_mode_runs_and_stops():
+    text = TEXT.replace('adaptation = "dynamixel"', 'adaptation = "dynamixel"\nmode = "velocity"')
+    with opened(text) as rig:
+        left = rig.motors["left"]
+        left.enable()
+        with pytest.raises(UnsupportedError):
+            left.set_control_mode(ControlMode.TRAJECTORY)
+        left.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        left.set_setpoint(-2.0)
+        left.start()
+        left.wait_until_done(timeout_s=2)
+        rig.runtime.run_for(0.2)
+        assert left.velocity() == pytest.approx(-2.0, abs=0.06)
+        left.stop()
+        left.wait_until_done(timeout_s=2)
+        assert abs(left.velocity()) < 0.06
+
+
+def test_target_beyond_256_turns_is_refused(rig):
+    left = rig.motors["left"]
+    left.enable()
+    left.set_control_mode(ControlMode.SETPOINT)
+    left.set_setpoint(257 * 6.2832)
+    with pytest.raises(LimitError, match="range of the servo's goal"):
+        left.start()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("registers = { return_delay_time = 25 }", "registers = { drive_mode = 4 }",
+         "profiles are time-based"),
+        ("gear_ratio = 1.0\n", "", "gear_ratio is not given"),
+    ],
+)  # fmt: skip
+def test_servo_that_cannot_be_used_is_refused_in_words(old, new, told):
+    with opened(TEXT.replace(old, new)) as rig, pytest.raises(Exception, match=told):
+        rig.motors["left"].enable()
+
+
+def test_servo_of_another_series_is_refused(rig, monkeypatch):
+    monkeypatch.setattr(hardware, "_X_SERIES", (1020,))
+    with pytest.raises(PeerError, match="model number 1200, firmware 52, is not of the X series"):
+        rig.motors["left"].enable()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('kind = "serial"', 'kind = "modbus_rtu"', "for buses of kind serial"),
+        ("baud_bit_s = 1_000_000", "baud_bit_s = 19_200", "bit rate is 19200 bit/s"),
+        ('adaptation = "dynamixel"', 'adaptation = "dynamixel"\nmode = "torque"', "mode"),
+        ("unit = 1\n", "unit = 253\n", "unit"),
+    ],
+)
+def test_mistake_in_a_rig_is_told_with_its_line(old, new, told):
+    with pytest.raises(RigError, match=told), opened(TEXT.replace(old, new, 1)) as rig:
+        rig.motors["left"].enable()
