@@ -38,6 +38,7 @@ from motorhil.motorapi.api import (
     PeerError,
     PeriodicMessage,
     SentFrame,
+    SettingError,
     Shared,
     SyncOffer,
     UnsupportedError,
@@ -93,6 +94,7 @@ _FAULTS: Final = {
 }
 _ANSWER_S: Final = 0.2
 _CONNECT_S: Final = 1.0
+_FEEDS: Final = 3  # of the watchdog, within its time
 _WINDOW: Final = 0.1  # of the model's tolerance
 _REACHED: Final = 0.05  # of the model's velocity
 _HOME_OUTPUT: Final = 2
@@ -132,16 +134,35 @@ class Order(NamedTuple):
 class MoteusOptions(Options):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
-    poll_ms: float = number(10.0, 0, 1e3, "ms", "Period of queries and commands.", above=True)
+    poll_ms: float = number(
+        10.0, 0, 1e3, "ms", "Period of queries and commands.", above=True, plausible=(1.0, 50.0)
+    )
     watchdog_ms: float = number(
-        100.0, 0, 1e6, "ms", "The drive stops after this time without its host.", above=True
+        100.0,
+        0,
+        1e6,
+        "ms",
+        "The drive stops after this time without its host.",
+        above=True,
+        plausible=(10.0, 10_000.0),
     )
     timeout_ms: float = number(
-        100.0, 0, unit="ms", doc="Time without a reply after which the drive is lost.", above=True
+        100.0,
+        0,
+        unit="ms",
+        doc="Time without a reply after which the drive is lost.",
+        above=True,
+        plausible=(10.0, 10_000.0),
     )
     rotor_to_output_ratio: float = number(
         1.0, 0, 1e9, "", "As in the drive: turns of its output per turn of the motor.", above=True
     )
+
+    def check_together(self) -> None:
+        """Check that the watchdog is fed in time."""
+        if self.watchdog_ms < _FEEDS * self.poll_ms:
+            problem = f"{self.watchdog_ms:g} ms is too short for poll_ms = {self.poll_ms:g}"
+            raise SettingError(("watchdog_ms",), problem, f"at least {_FEEDS} times poll_ms")
 
 
 @final
@@ -328,10 +349,9 @@ class MoteusHwMotor:
                 self._fed = None
             if last is not self._last and self._last is not None:
                 self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
-            elif has_arrived and self._fed is fed:
-                if not self.is_over:
-                    self.ended_ns = self.drive.runtime.now_ns()
+            elif has_arrived and self._fed is fed and not self.is_over:
                 self._fed, self.is_over = None if holds else fed, True
+                self.ended_ns = self.drive.runtime.now_ns()
                 self.drive.news.grow()
 
     def _has_arrived(self) -> bool:

@@ -293,6 +293,27 @@ def test_other_register_map_is_refused(version):
         rig.motors["left"].enable()
 
 
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("watchdog_ms = 29.9", "too short for poll_ms = 10; at least 3 times poll_ms"),
+        ("poll_ms = 0", "poll_ms"),
+        ("rotor_to_output = 2", "did you mean rotor_to_output_ratio"),
+    ],
+)
+def test_wrong_option_is_named(key, message):
+    with opened(motor=key) as rig, pytest.raises(RigError, match=message):
+        rig.motors["left"].enable()
+
+
+def test_shortest_watchdog_is_fed():
+    with opened(motor="watchdog_ms = 30") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 1.0)
+        motor.wait_until_done(timeout_s=3)
+
+
 def test_silent_drive_is_a_link_error(rig):
     motor = rig.motors["left"]
     motor.enable()
