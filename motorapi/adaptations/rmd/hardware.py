@@ -30,6 +30,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     StreamedMotion,
+    SyncOffer,
     checked_node,
     number,
 )
@@ -272,6 +273,10 @@ class RmdHwMotor:
         is_position = variable is ControlVariable.POSITION
         data = bytes(3) + raw.to_bytes(4, "little", signed=True)  # speed limit 0: none
         return self.tell(Command.POSITION if is_position else Command.SPEED, data, fence)
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point."""
+        return self.drive.start_offer(_REQUEST + self.node_id, 8)
 
     def measured(self) -> tuple[float, float]:
         """Return angle and speed now [deg, deg/s], extrapolated to the present."""

@@ -32,11 +32,13 @@ from motorhil.motorapi.api import (
     Measurement,
     Motion,
     MotionKind,
+    MotionTimes,
     Motor,
     MotorBusyError,
     MotorModel,
     MotorState,
     Shared,
+    SyncOffer,
     UsageError,
     adaptation,
     read_settings,
@@ -169,6 +171,12 @@ class RmdMotor(Motor):
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in _SUPPORTED
+
+    def _sync_offer(self) -> SyncOffer:
+        return self._hardware.start_offer()
+
+    def _motion_times(self) -> MotionTimes | None:
+        return self._hardware.motions.times()
 
     def _quantise(self, motion: Motion) -> Motion:
         step = 100.0 * _scale(motion.variable)

@@ -34,6 +34,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     StreamedMotion,
+    SyncOffer,
     UsageError,
     checked_node,
     number,
@@ -272,6 +273,10 @@ class VescHwMotor:
     def sender(self, mode: Mode) -> "Callable[[float, BoundFence | None], SentFrame]":
         """Return a function that sends a value in this mode, for `motions`."""
         return partial(self.tell, mode)
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point; all of them have 4 bytes."""
+        return self.drive.start_offer(Mode.POSITION << 8 | self.node_id, _VALUE.size)
 
     def measured(self) -> tuple[float, float]:
         """Return position and velocity now [turns, turns/s], extrapolated to the present."""

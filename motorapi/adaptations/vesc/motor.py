@@ -26,11 +26,13 @@ from motorhil.motorapi.api import (
     Measurement,
     Motion,
     MotionKind,
+    MotionTimes,
     Motor,
     MotorBusyError,
     MotorModel,
     MotorState,
     Shared,
+    SyncOffer,
     UsageError,
     adaptation,
     read_settings,
@@ -190,6 +192,12 @@ class VescMotor(Motor):
 
     def _scale(self, variable: ControlVariable) -> float:
         return 1.0 if variable is ControlVariable.CURRENT else self._turns
+
+    def _sync_offer(self) -> SyncOffer:
+        return self._hardware.start_offer()
+
+    def _motion_times(self) -> MotionTimes | None:
+        return self._hardware.motions.times()
 
     def _quantise(self, motion: Motion) -> Motion:
         step = self._scale(motion.variable) * self._hardware.scale(_MODES[motion.variable])
