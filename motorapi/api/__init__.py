@@ -57,7 +57,7 @@ from motorhil.motorapi.trajectory import (
     TrapezoidalTrajectory,
     asks_for_smoothness,
 )
-from motorhil.settings import REQUIRED, number, text, whole, word
+from motorhil.settings import REQUIRED, SettingError, number, text, whole, word
 
 __all__ = [
     "BOOT_S",
@@ -101,6 +101,7 @@ __all__ = [
     "SentFrame",
     "Setpoint",
     "SetpointStream",
+    "SettingError",
     "Shared",
     "SignOfLife",
     "StateError",
