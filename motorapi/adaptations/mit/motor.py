@@ -41,12 +41,14 @@ from motorhil.motorapi.api import (
     Measurement,
     Motion,
     MotionKind,
+    MotionTimes,
     Motor,
     MotorModel,
     MotorState,
     PeerError,
     Ramps,
     Shared,
+    SyncOffer,
     TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
@@ -163,6 +165,18 @@ class MitMotor(Motor):
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable is not ControlVariable.CURRENT
+
+    def _sync_offer(self) -> SyncOffer:
+        return self._hardware.start_offer()
+
+    def _motion_times(self) -> MotionTimes | None:
+        hardware = self._hardware
+        if hardware.started_ns is None:
+            return None
+        source = "the first and the last command of its stream on the wire"
+        return MotionTimes(
+            hardware.started_ns, hardware.ended_ns, source, latched_ns=hardware.started_ns
+        )
 
     def _read_reference(self) -> float:
         held = self._hardware.present()
