@@ -33,6 +33,8 @@ HELD = {
     "mit": {"limit-velocity"},
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
+    "rmd": {"limit-velocity"},
+    "vesc": {"limit-velocity"},
 }
 
 
