@@ -458,9 +458,7 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         "cia402": partial(attack_node, _drive),
         "cia401": partial(attack_node, _io_node),
         "recorded": partial(attack_node, partial(_recorded, "cia402.mcap", node_id=1), own=1),
-        "mit": partial(attack_mit, build_mit, tuple(MIT_MODELS)),
         "moteus": attack_moteus,
-        "robstride": partial(attack_mit, build_robstride, tuple(ROBSTRIDES)),
     }
     vesc = partial(build_vesc, {"node_id": NODE, "status_1": 63}, _context())
     ping, pong = frame(0x8000_1105, b"\xfd"), frame(0x8000_12FD, b"\x05\0")
@@ -475,6 +473,8 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
     kinds["dynamixel"] = attack_servo
     unit = partial(_recorded, "leadshine.mcap", unit=UNIT)
     kinds["recorded unit"] = partial(attack_unit, unit, _addresses(build_leadshine))
+    kinds["mit"] = partial(attack_mit, build_mit, tuple(MIT_MODELS))
+    kinds["robstride"] = partial(attack_mit, build_robstride, tuple(ROBSTRIDES))
     return kinds
 
 
