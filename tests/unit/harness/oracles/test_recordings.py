@@ -30,6 +30,7 @@ HELD = {
     "software": _CAN | {"sync-period"},
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
+    "mit": {"limit-velocity"},
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
     "rmd": {"limit-velocity"},
