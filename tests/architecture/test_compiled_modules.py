@@ -88,7 +88,7 @@ INTERPRETED = {
 FOLDERS = (
     *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
     *("emulators/moteus", "emulators/oriental_az", "emulators/settings"),
-    *("emulators/mit",),
+    *("emulators/dynamixel", "emulators/mit"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
@@ -99,7 +99,7 @@ FOLDERS = (
     *("harness/sharing_tests", "harness/virtual_time/stdlib"),
     *("motorapi", "motorapi/adaptations", "motorapi/adaptations/ideal", "motorapi/api"),
     *("motorapi/adaptations/leadshine", "motorapi/adaptations/modbus"),
-    *("motorapi/adaptations/moteus",),
+    *("motorapi/adaptations/dynamixel", "motorapi/adaptations/moteus"),
     *("motorapi/adaptations/oriental_az", "motorapi/functions", "motorapi/generation"),
     *("motorapi/locking", "motorapi/ownership", "motorapi/planning", "motorapi/synchronization"),
     *("traces/decoding", "traces/exchange", "traces/formats", "traces/semantics"),
