@@ -39,6 +39,8 @@ _MODULES: Final = (
     "motorhil.motorapi.adaptations.ideal",
     "motorhil.motorapi.adaptations.leadshine",
     "motorhil.motorapi.adaptations.oriental_az",
+    "motorhil.motorapi.adaptations.rmd",
+    "motorhil.motorapi.adaptations.vesc",
     "motorhil.emulators.api",
     "motorhil.traces.api",
 )

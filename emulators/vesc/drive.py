@@ -68,6 +68,8 @@ _AGAINST: Final = 0.02  # duty from which a relative current counts as against t
 _FAULTS: Final = {flags.OVER_VOLTAGE: 1, flags.UNDER_VOLTAGE: 2, flags.OVER_TEMPERATURE: 6}
 _FAULT_MAX: Final = 33
 _AT_ONCE: Final = 1e300  # [A/s]
+_RATE_HZ: Final = (1.0, 1000.0)
+_CURRENT_A: Final = (0.01, 1000.0)
 _STATUS: Final = (9, 14, 15, 16, 27, 58)
 
 
@@ -80,34 +82,65 @@ class VescTable(MotorTable):
     status_1: int = whole(
         0, 0, 63, "", "Status frames at rate 1: bit 0 STATUS to bit 5 STATUS_6; 0: none."
     )
-    status_rate_1_hz: int = whole(50, 0, 10_000, "Hz", "Rate 1; 0: never.")
+    status_rate_1_hz: int = whole(50, 0, 10_000, "Hz", "Rate 1; 0: never.", plausible=_RATE_HZ)
     status_2: int = whole(0, 0, 63, "", "Status frames at rate 2.")
-    status_rate_2_hz: int = whole(5, 0, 10_000, "Hz", "Rate 2; 0: never.")
+    status_rate_2_hz: int = whole(5, 0, 10_000, "Hz", "Rate 2; 0: never.", plausible=_RATE_HZ)
     timeout_s: float = number(
-        1.0, 0, 1e6, "s", "Time without a command until it releases the motor; 0: never."
+        *(1.0, 0, 1e6, "s", "Time without a command until it releases the motor; 0: never."),
+        plausible=(0.01, 60.0),
     )
-    timeout_brake_a: float = number(0.0, 0, 1e4, "A", "Brake current after this time.")
-    fault_stop_s: float = number(0.5, 0, 1e6, "s", "Time after which a fault clears itself.")
+    timeout_brake_a: float = number(
+        0.0, 0, 1e4, "A", "Brake current after this time.", plausible=_CURRENT_A
+    )
+    fault_stop_s: float = number(
+        0.5, 0, 1e6, "s", "Time after which a fault clears itself.", plausible=(0.01, 60.0)
+    )
     pole_pairs: int = whole(7, 1, 1000, "", "ERPM per rpm.")
     erpm_min: float = number(900.0, 0, 1e9, "", "No speed control below this ERPM.")
     erpm_max: float = number(100_000.0, 0, 1e9, "", "Limit of the speed in ERPM.", above=True)
-    erpm_ramp_s: float = number(25_000.0, 0, 1e12, "1/s", "Change of ERPM per second.", above=True)
-    current_max_a: float = number(60.0, 0, 1e4, "A", "Motor current limit, at most the plant's.")
-    current_brake_max_a: float = number(60.0, 0, 1e4, "A", "The same while braking.")
-    current_min_a: float = number(0.05, 0, 1e4, "A", "A smaller current releases the motor.")
+    erpm_ramp_s: float = number(
+        *(25_000.0, 0, 1e12, "1/s", "Change of ERPM per second."),
+        above=True,
+        plausible=(100.0, 1e7),
+    )
+    current_max_a: float = number(
+        60.0, 0, 1e4, "A", "Motor current limit, at most the plant's.", plausible=_CURRENT_A
+    )
+    current_brake_max_a: float = number(
+        60.0, 0, 1e4, "A", "The same while braking.", plausible=_CURRENT_A
+    )
+    current_min_a: float = number(
+        0.05, 0, 1e4, "A", "A smaller current releases the motor.", plausible=(1e-3, 10.0)
+    )
     duty_min: float = number(0.005, 0, 1, "", "A smaller duty cycle releases the motor.")
     duty_max: float = number(0.95, 0, 1, "", "Limit of the duty cycle.", above=True)
-    duty_ramp_s: float = number(20.0, 0, 1e9, "1/s", "Change of duty per second.", above=True)
-    position_kp: float = number(0.025, 0, 1e6, "1/deg", "Share of current_max_a per angle error.")
+    duty_ramp_s: float = number(
+        20.0, 0, 1e9, "1/s", "Change of duty per second.", above=True, plausible=(0.1, 1000.0)
+    )
+    position_kp: float = number(
+        *(0.025, 0, 1e6, "1/deg", "Share of current_max_a per angle error."),
+        plausible=(1e-5, 100.0),
+    )
     position_kd: float = number(
-        0.00035, 0, 1e6, "s/deg", "Share of current_max_a per angular velocity.", above=True
+        *(0.00035, 0, 1e6, "s/deg", "Share of current_max_a per angular velocity."),
+        above=True,
+        plausible=(1e-7, 1.0),
     )
     position_divider: float = number(
         1.0, 0, 1e6, "", "Turns of the motor in 360 degrees of position.", above=True
     )
-    voltage_min_v: float = number(8.0, 0, 1e6, "V", "Fault under_voltage below; needs a DC link.")
-    voltage_max_v: float = number(57.0, 0, 1e6, "V", "Fault over_voltage above; needs a DC link.")
-    temperature_max_c: float = number(100.0, -273, 1e6, "C", "Fault over_temp_motor from here.")
+    voltage_min_v: float = number(
+        *(8.0, 0, 1e6, "V", "Fault 2, under voltage, below; needs a DC link."),
+        plausible=(1.0, 1000.0),
+    )
+    voltage_max_v: float = number(
+        *(57.0, 0, 1e6, "V", "Fault 1, over voltage, above; needs a DC link."),
+        plausible=(1.0, 1000.0),
+    )
+    temperature_max_c: float = number(
+        *(100.0, -273, 1e6, "C", "Fault 6, over temperature of the motor, from here."),
+        plausible=(20.0, 300.0),
+    )
     hardware: str = text("60", "Name of its hardware.", example='"60"')
     firmware_major: int = whole(7, 0, 255, "", "Firmware version, before the point.")
     firmware_minor: int = whole(1, 0, 255, "", "Firmware version, behind the point.")

@@ -6,6 +6,7 @@ offset 252, 6 bytes a frame (6) from 259 on, and ends with its length and CRC (7
 Source: vedderb/bldc, comm/comm_can.c (firmware 7.01).
 """
 
+from binascii import crc_hqx  # CRC-16/XMODEM, if it starts with 0
 from collections.abc import Iterator
 from typing import Final, final
 
@@ -13,16 +14,6 @@ FILL, FILL_LONG, PROCESS, PROCESS_SHORT = 5, 6, 7, 8
 PACKET_MAX: Final = 512
 _SHORT_MAX: Final = 6
 _FAR: Final = 255  # last offset that fits the byte of FILL
-
-
-def crc16(data: bytes) -> int:
-    """Return the CRC-16/XMODEM: polynomial 1021h, start 0, not reflected."""
-    crc = 0
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
 
 
 def frames_of(packet: bytes, sender: int, mode: int) -> Iterator[tuple[int, bytes]]:
@@ -39,7 +30,7 @@ def frames_of(packet: bytes, sender: int, mode: int) -> Iterator[tuple[int, byte
         else:
             yield FILL_LONG, at.to_bytes(2, "big") + packet[at : at + 6]
             at += 6
-    yield PROCESS, head + len(packet).to_bytes(2, "big") + crc16(packet).to_bytes(2, "big")
+    yield PROCESS, head + len(packet).to_bytes(2, "big") + crc_hqx(packet, 0).to_bytes(2, "big")
 
 
 @final
@@ -64,6 +55,6 @@ class Reassembly:
         for i, buffer in enumerate(self._buffers):
             if len(buffer) == length:
                 self._buffers[i] = b""
-                return buffer if crc16(buffer) == crc else None
+                return buffer if crc_hqx(buffer, 0) == crc else None
         self._buffers = [b"", b"", b""]
         return None

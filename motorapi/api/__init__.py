@@ -24,6 +24,7 @@ from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
+from motorhil.motorapi.api.streamed_motion import StreamedMotion
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -104,6 +105,7 @@ __all__ = [
     "Shared",
     "SignOfLife",
     "StateError",
+    "StreamedMotion",
     "SyncLevel",
     "SyncOffer",
     "Trajectory",

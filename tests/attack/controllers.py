@@ -28,8 +28,10 @@ from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.modbus.tcp import adu
 from motorhil.emulators.moteus.drive import build as build_moteus
 from motorhil.emulators.oriental_az.drive import build as build_oriental
+from motorhil.emulators.rmd.drive import build as build_rmd
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
+from motorhil.emulators.vesc.drive import build as build_vesc
 from motorhil.harness.replay.device_node import build as build_recorded
 from tests.attack.campaign import Attack, Attempt, Done
 from tests.properties.fuzz.__main__ import OUT
@@ -383,6 +385,32 @@ def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: 
     return Done(EPISODE, digest.digest(), reached)
 
 
+def attack_identifiers(
+    build: Callable[[], Controller], question: bytes, answer: bytes, seed: str
+) -> Done:
+    """Send any data under the identifiers of a drive; then ask a question with a known answer."""
+    dice = Random(seed)
+    bare = Bare(build())
+    identifiers = list(bare.controller.identifiers() or ())
+    for _ in range(EPISODE):
+        bare.run(dice.choice(_PAUSES_NS))
+        if dice.random() < 0.01:
+            bare.stimulate(*dice.choice(_INPUTS))
+        if dice.random() < 0.1:
+            bare.stimulate("power", 1.0)  # a command may switch it off
+        size = dice.choice((8, 8, 6, 5, 4, 4, *range(9)))
+        data = bytes(dice.choice((0, 0, 1, 0xFF, dice.randrange(256))) for _ in range(size))
+        bare.tell(frame(dice.choice(identifiers), data))
+    reached = Counter(answers=len(bare.sent))
+    bare.stimulate("power", 1.0)
+    bare.run(2_000 * MS)
+    bare.sent.clear()
+    bare.tell(question)
+    bare.run(REPLY_BY_NS)
+    assert answer in bare.sent, "the question has no answer"
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
 def _addresses(builder: object) -> list[int]:
     return [row.address for row in builder.registers()]  # type: ignore[attr-defined]  # a builder
 
@@ -394,6 +422,12 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         "recorded": partial(attack_node, partial(_recorded, "cia402.mcap", node_id=1), own=1),
         "moteus": attack_moteus,
     }
+    vesc = partial(build_vesc, {"node_id": NODE, "status_1": 63}, _context())
+    ping, pong = frame(0x8000_1105, b"\xfd"), frame(0x8000_12FD, b"\x05\0")
+    kinds["vesc"] = partial(attack_identifiers, vesc, ping, pong)
+    rmd = partial(build_rmd, {"node_id": NODE, "interruption_ms": 50}, _context())
+    mode = frame(0x145, b"\x9d" + bytes(7)), frame(0x245, bytes.fromhex("9d19000000000000"))
+    kinds["rmd"] = partial(attack_identifiers, rmd, *mode)
     for name, build in (("leadshine_pr", build_leadshine), ("oriental_az", build_oriental)):
         made = partial(build, {"unit": UNIT}, _context())
         kinds[name] = partial(attack_unit, made, _addresses(build))

@@ -32,6 +32,8 @@ HELD = {
     "leadshine_tcp": {"limit-velocity"},
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
+    "rmd": {"limit-velocity"},
+    "vesc": {"limit-velocity"},
 }
 
 

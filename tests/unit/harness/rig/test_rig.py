@@ -171,7 +171,7 @@ def test_second_rig_with_the_same_bus_is_refused(write):
             'kind = "ecco"',
             'rig.toml:6: controller.left.kind: unknown controller kind "ecco" '
             "(known: broken, cia401, cia402, dynamixel, echo, leadshine_pr, mit, moteus, "
-            "oriental_az, recorded, robstride, vesc); did you mean echo?",
+            "oriental_az, recorded, rmd, robstride, vesc); did you mean echo?",
         ),
         (
             "velocity_max_rad_s = 6.0",

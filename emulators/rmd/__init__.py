@@ -1,0 +1,1 @@
+"""A MyActuator RMD on CAN: one request, one answer, angles of the output shaft."""

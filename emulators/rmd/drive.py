@@ -1,0 +1,655 @@
+"""An emulated MyActuator RMD (driver V3, protocol V4.2).
+
+Every request of 8 bytes has one answer, `answer_s` later. Requests to 280h reach all drives.
+Angles and speeds are those of the output. A request that moves the motor is obeyed without a fault
+only, and is answered in any case.
+
+What is kept in ROM survives the power supply: acceleration (43h), gains (32h), zero (63h, 64h),
+interruption time (B3h), ID (79h), and the switches of 20h. `rom_writes` of the truth counts writes.
+
+Choices of this emulator where the manual leaves room: a stall is a following error beyond
+`stall_deg`; an ID is valid after the restart; faults of level 2 last `fault_s`. Not emulated, with
+a warning: motion mode (400h), gains that act, RS485, bit rates, the lock of the brake.
+
+Source: MyActuator, Servo Motor Control Protocol V4.2 (2024-05).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from struct import Struct
+from typing import Any, Final, final
+
+from motorhil.emulators.api import (
+    NEVER_NS,
+    RANGES,
+    REQUIRED,
+    Controller,
+    ControllerContext,
+    MotorTable,
+    axis_of,
+    can_id_of,
+    controller,
+    data_of,
+    flags,
+    ns,
+    number,
+    on_own_time,
+    pack,
+    read,
+    text,
+    whole,
+)
+
+_REQUEST, _ANSWER, _ALL, _SETTING = 0x140, 0x240, 0x280, 0x300
+_MOTION: Final = Struct("<Bbhhh")
+_LAST: Final = Struct("<4xi")
+_LAST_U: Final = Struct("<4xI")
+_SPEEDS: Final = Struct("<2xHi")
+_SECOND_NS: Final = 1_000_000_000
+_ERROR_NS: Final = 100_000_000
+_AT_ONCE: Final = 1e300
+_STALL: Final = 0x0002
+_CAUSES: Final = {
+    flags.FOLLOWING_ERROR: _STALL,
+    flags.UNDER_VOLTAGE: 0x0004,
+    flags.OVER_VOLTAGE: 0x0008,
+    flags.OVER_TEMPERATURE: 0x1000,
+}
+_UNTIL_RESTART: Final = 0x0002 | 0x0010 | 0x0080
+_GAINS: Final = (1, 2, 4, 5, 7, 8, 9)
+_REPLIES: Final = (0x60, 0x61, 0x62, 0x92, 0x9A, 0x9C, 0x9D)
+_PULSES: Final = 16384  # of the encoder per turn of the motor
+NONE, CURRENT, SPEED, POSITION = range(4)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RmdTable(MotorTable):
+    """The table of an RMD in a rig."""
+
+    node_id: int = whole(REQUIRED, 1, 32, "", "Its ID.", example="1")
+    answer_s: float = number(
+        0.0005, 0, 1, "s", "From a request to its answer.", plausible=(1e-5, 0.1)
+    )
+    restart_s: float = number(
+        1.0, 0, 3600, "s", "From power-on or reset to the first answer.", plausible=(0.01, 60.0)
+    )
+    acceleration_dps_s: int = whole(
+        *(10_000, 0, 60_000, "deg/s²", "The four accelerations in ROM; 0: as fast as possible."),
+        plausible=(100, 60_000),
+    )
+    interruption_ms: int = whole(
+        *(0, 0, (1 << 32) - 1, "ms", "Interruption time in ROM; 0: off."), plausible=(5, 60_000)
+    )
+    stall_deg: float = number(
+        *(30.0, 0, 1e6, "deg", "Following error of the output that is a stall."),
+        above=True,
+        plausible=(0.1, 360.0),
+    )
+    fault_s: float = number(
+        0.1, 0, 3600, "s", "Duration of an injected fault of level 2.", plausible=(0.01, 60.0)
+    )
+    model: str = text("X6V3", "Its model, at most 7 letters.", example='"X8S2V10"')
+    date: int = whole(20220206, 0, 99991231, "", "Date of its software.")
+
+
+@final
+@dataclass
+class _Rom:
+    """The parameters that survive the power supply."""
+
+    node_id: int
+    acceleration: list[int]  # position, its deceleration, speed, its deceleration [deg/s²]
+    gains: dict[int, bytes]
+    interruption_ms: int
+    offset: int = 0  # pulses
+    is_filtered: bool = False
+    keeps_turns: bool = True
+    limits: tuple[int, int] = (0, 0)  # of position commands, 0.01 degrees; 0: none
+    writes: int = 0
+
+
+@final
+class RmdController:
+    """Implements `motorhil.emulators.api.Controller`; times are int ns."""
+
+    def __init__(self, settings: RmdTable, stream: str) -> None:
+        motor = settings.motor(stream)
+        plant = motor.plant
+        self._settings = settings
+        self._plant = plant
+        self._axis = axis_of(motor, motor.oscillator.rate())
+        self._inc_deg: Final = plant.encoder_increments_rev * plant.gear_ratio / 360.0
+        self._pulses: Final = _PULSES / plant.encoder_increments_rev
+        self._watches: Final[bool] = plant.extras.is_any()
+        self._axis.set_windows(
+            following_window_inc=round(settings.stall_deg * self._inc_deg), following_window_ns=0
+        )
+        self._profiled: Final = motor.gains
+        self._direct: Final = replace(
+            motor.gains, velocity_feedforward=0.0, acceleration_feedforward_a_s2_inc=0.0
+        )
+        gains = {index: Struct("<f").pack(1.0) for index in _GAINS}
+        accelerations = [settings.acceleration_dps_s] * 4
+        self._rom = _Rom(settings.node_id, accelerations, gains, settings.interruption_ms)
+        self._node = settings.node_id
+        self._gains = dict(gains)
+        self._revision = self._mode = self._errors = 0
+        self._is_on = self._is_silenced = self._swallows = self._reports = False
+        self._lost = 0  # increments of whole turns that were lost with the power
+        self._offset = 0
+        self._now_ns = self._start_ns = 0
+        self._ready_ns = self._silent_ns = self._clear_ns = self._report_ns = NEVER_NS
+        self._brake_is_open = False
+        self._active: dict[int, int] = {}  # command: period [ns]
+        self._active_ns: dict[int, int] = {}
+        self._due: list[tuple[int, bytes]] = []
+        self._out: list[bytes] = []
+        self._events: list[tuple[str, str]] = []
+
+    # --- time
+
+    def start(self, now_ns: int) -> None:
+        """Switch the power on."""
+        self._axis.at(now_ns)
+        self._is_on = True
+        self._now_ns = now_ns
+        self._restart()
+
+    def _restart(self) -> None:
+        self._off()
+        now_ns = self._now_ns
+        self._ready_ns = now_ns + ns(self._settings.restart_s)
+        self._start_ns = now_ns
+        self._silent_ns = self._clear_ns = self._report_ns = NEVER_NS
+        self._errors = 0
+        self._is_silenced = self._swallows = self._reports = self._brake_is_open = False
+        self._active, self._active_ns, self._due = {}, {}, []
+        self._gains, self._offset = dict(self._rom.gains), self._rom.offset
+        if not self._rom.keeps_turns:
+            self._lost = (
+                self._axis.count() // round(self._inc_deg * 360) * round(self._inc_deg * 360)
+            )
+        if self._node != self._rom.node_id:
+            self._node = self._rom.node_id
+            self._revision += 1
+
+    def next_deadline_ns(self) -> int | None:
+        """Return the latest time of the next call of `expire` [ns]."""
+        if not self._is_on:
+            return None
+        due_ns = min(self._ready_ns, self._silent_ns, self._clear_ns, self._report_ns)
+        due_ns = min((due_ns, *(one for one, _ in self._due), *self._active_ns.values()))
+        if self._watches or self._mode:
+            due_ns = min(due_ns, self._axis.event_ns(due_ns))
+        return None if due_ns >= NEVER_NS else due_ns
+
+    def expire(self, now_ns: int) -> None:
+        """Do everything that is due at `now_ns`."""
+        if not self._is_on:
+            return
+        self._at(now_ns)
+        if now_ns >= self._ready_ns:
+            self._ready_ns = NEVER_NS
+            self._hear()
+        if now_ns >= self._silent_ns:
+            if not self._is_silenced:
+                self._events.append(("warning", "communication interrupted: the output is off"))
+            self._is_silenced = self._swallows = True
+            self._silent_ns = now_ns + _SECOND_NS
+            self._off()
+            self._out.append(pack(_ANSWER + self._node, b"\xf1" + bytes(7)))
+        if now_ns >= self._clear_ns:
+            self._clear_ns = NEVER_NS
+            self._errors &= _UNTIL_RESTART
+            self._check_causes()
+        if now_ns >= self._report_ns:
+            self._report_ns = now_ns + _ERROR_NS if self._errors else NEVER_NS
+            if self._errors:
+                self._answer(self._status_1(b"\x9a"))
+        for command, due_ns in self._active_ns.items():
+            if now_ns >= due_ns:
+                self._active_ns[command] = now_ns + self._active[command]
+                self._answer(_READS[command](self, bytes((command,)) + bytes(7)))
+        self._out += [frame for due_ns, frame in self._due if due_ns <= now_ns]
+        self._due = [one for one in self._due if one[0] > now_ns]
+
+    def _at(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+        self._axis.at(now_ns)
+        self._check_causes()
+
+    def _check_causes(self) -> None:
+        seen = self._axis.flags
+        for flag, error in _CAUSES.items():
+            if seen & flag and (error != _STALL or self._mode):
+                self._fail(error)
+
+    def _fail(self, error: int, duration_ns: int = _ERROR_NS) -> None:
+        if not self._errors & error:
+            self._events.append(("error", f"fault {error:04X}h"))
+            if self._reports:
+                self._report_ns = self._now_ns + _ERROR_NS
+        self._errors |= error
+        self._off()
+        if error & ~_UNTIL_RESTART:
+            self._clear_ns = self._now_ns + duration_ns
+
+    def _off(self) -> None:
+        self._mode = NONE
+        self._axis.power(False)
+
+    # --- frames
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Handle a frame from the bus."""
+        can_id, request = can_id_of(data), data_of(data)
+        is_all = can_id in (_ALL, _SETTING)
+        if not self._is_on or self._ready_ns != NEVER_NS:
+            return
+        if can_id != _REQUEST + self._node and not (is_all and not self._rom.is_filtered):
+            return
+        self._at(now_ns)
+        self._hear()
+        if len(request) != 8:
+            self._warn(f"request {request.hex()} of {len(request)} bytes is ignored: 8 are needed")
+            return
+        if self._swallows:  # the first one after an interruption comes back, and does nothing
+            self._swallows = False
+            self._answer(request)
+            return
+        if can_id == _SETTING:
+            self._set_id(request)
+            return
+        command = request[0]
+        if command in _READS and command not in self._active:
+            self._answer(_READS[command](self, request))
+        elif command in _WRITES:
+            answer = _WRITES[command](self, request)
+            if answer is not None:
+                self._answer(answer)
+        elif command not in _READS:
+            self._warn(f"command {command:02X}h is not emulated")
+
+    def _hear(self) -> None:
+        """Begin the interruption time anew."""
+        self._is_silenced = False
+        wait_ns = self._rom.interruption_ms * 1_000_000
+        self._silent_ns = self._now_ns + wait_ns if wait_ns else NEVER_NS
+
+    def _answer(self, data: bytes, can_id: int | None = None) -> None:
+        frame = pack(_ANSWER + self._node if can_id is None else can_id, data)
+        self._due.append((self._now_ns + ns(self._settings.answer_s), frame))
+
+    def _set_id(self, request: bytes) -> None:
+        if request[0] != 0x79:
+            return
+        if request[2]:
+            told = (_ANSWER + self._node).to_bytes(2, "little")
+            self._answer(request[:6] + told, _SETTING)
+        elif 1 <= request[7] <= 32:
+            self._write(node_id=request[7])
+            self._answer(request, _SETTING)
+
+    # --- measurements
+
+    def _pulses_now(self) -> int:
+        """Return the raw position of the multi-turn encoder [pulses]."""
+        return int((self._axis.count() - self._lost) * self._pulses // 1)
+
+    def _centidegrees(self) -> int:
+        inc = self._axis.count() - self._lost - self._offset / self._pulses
+        return int(inc * 100.0 / self._inc_deg // 1)
+
+    def _temperature(self) -> int:
+        return max(-128, min(127, int(self._axis.winding_temperature_c())))
+
+    def _status_1(self, request: bytes) -> bytes:
+        told = self._temperature().to_bytes(1, "little", signed=True)
+        volts = int(self._axis.dc_link_v() * 10).to_bytes(2, "little")
+        is_open = bytes((self._brake_is_open or self._mode != NONE,))
+        return request[:1] + told + b"\0" + is_open + volts + self._errors.to_bytes(2, "little")
+
+    def _status_2(self, request: bytes) -> bytes:
+        speed = self._axis.velocity_inc_s() / self._inc_deg
+        amps = self._axis.current_a() * 100
+        values = (_short(value) for value in (amps, speed, self._centidegrees() / 100))
+        return _MOTION.pack(request[0], self._temperature(), *values)
+
+    def _status_3(self, request: bytes) -> bytes:
+        amps = self._axis.current_a() * 100
+        phases = (_short(share * amps) for share in (1.0, -0.5, -0.5))
+        return _MOTION.pack(request[0], self._temperature(), *phases)
+
+    def _encoder(self, request: bytes) -> bytes:
+        raw = self._pulses_now() % _PULSES
+        offset = self._offset % _PULSES
+        told = ((raw - offset) % _PULSES, raw, offset)
+        return request[:2] + b"".join(one.to_bytes(2, "little") for one in told)
+
+    def _plain(self, request: bytes, value: int) -> bytes:
+        return request[:4] + (value & 0xFFFFFFFF).to_bytes(4, "little")
+
+    # --- commands that move the motor: each is answered, and obeyed without a fault only
+
+    def current(self, request: bytes) -> bytes:
+        """Drive a torque current (A1h)."""
+        if self._can_move():
+            self._mode = CURRENT
+            self._axis.apply_current(
+                int.from_bytes(request[4:6], "little", signed=True) / 100, _AT_ONCE
+            )
+        return self._status_2(request)
+
+    def speed(self, request: bytes) -> bytes:
+        """Ramp to a speed (A2h)."""
+        if self._can_move():
+            self._mode = SPEED
+            faster, slower = (self._ramp(index) for index in (2, 3))
+            wanted = _LAST.unpack(request)[0] / 100 * self._inc_deg
+            self._axis.set_gains(self._profiled)
+            self._axis.run_at(wanted, faster, slower)
+        return self._status_2(request)
+
+    def position(self, request: bytes) -> bytes:
+        """Move to an angle (A4h), by a trapezoid, or directly if its acceleration is 0."""
+        dps, target = _SPEEDS.unpack(request)
+        self._go_to(dps, target)
+        return self._status_2(request)
+
+    def increment(self, request: bytes) -> bytes:
+        """Move by an angle from the present position (A8h)."""
+        dps, way = _SPEEDS.unpack(request)
+        self._go_to(dps, self._centidegrees() + way)
+        return self._status_2(request)
+
+    def single_turn(self, request: bytes) -> bytes:
+        """Move within one turn (A6h): 0 clockwise, 1 counter-clockwise; in single-turn mode."""
+        dps, target = int.from_bytes(request[2:4], "little"), int.from_bytes(request[4:6], "little")
+        if self._rom.keeps_turns:
+            self._warn("A6h needs single-turn mode; switch 20h index 4 off, and restart")
+        else:
+            here = self._centidegrees()
+            way = (target - here) % 36_000
+            self._go_to(dps, here + (way - 36_000 if request[1] and way else way))
+        status = self._status_2(request)
+        return status[:6] + (self._pulses_now() & 0xFFFF).to_bytes(2, "little")
+
+    def _go_to(self, dps: int, target: int) -> None:
+        if not self._can_move():
+            return
+        low, high = self._rom.limits
+        target = min(target, high) if high else target
+        target = max(target, low) if low else target
+        self._mode = POSITION
+        inc = round(target / 100 * self._inc_deg + self._offset / self._pulses) + self._lost
+        speed = dps * self._inc_deg if dps else _AT_ONCE
+        is_direct = not self._rom.acceleration[0]
+        self._axis.set_gains(self._direct if is_direct else self._profiled)
+        if not is_direct:
+            self._axis.move_to(inc, min(speed, 1e12), self._ramp(0), self._ramp(1))
+        else:
+            self._axis.follow(inc, 0, speed_max_inc_s=speed)
+
+    def _can_move(self) -> bool:
+        if self._errors:
+            self._warn(f"not obeyed: fault {self._errors:04X}h")
+        elif self._mode == NONE:
+            self._axis.power(True)
+        return not self._errors
+
+    def _ramp(self, index: int) -> float:
+        return (self._rom.acceleration[index] or 1e9) * self._inc_deg
+
+    def stop(self, request: bytes) -> bytes:
+        """Slow down to speed 0 in closed loop (81h)."""
+        if self._mode != NONE:
+            self._axis.ramp_to_rest(self._ramp(3))
+        return request
+
+    def shutdown(self, request: bytes) -> bytes:
+        """Switch the output off, and leave the mode (80h)."""
+        self._off()
+        return request
+
+    def reset(self, request: bytes) -> None:
+        """Restart without an answer (76h)."""
+        self._restart()
+
+    def brake(self, request: bytes) -> bytes:
+        """Release (77h) or lock (78h) the brake, which is a mere flag here."""
+        self._brake_is_open = request[0] == 0x77
+        return request
+
+    # --- parameters
+
+    def _write(self, **values: Any) -> None:
+        """Write parameters to ROM."""
+        for name, value in values.items():
+            setattr(self._rom, name, value)
+        self._rom.writes += 1
+
+    def acceleration(self, request: bytes) -> bytes | None:
+        """Write an acceleration to RAM and ROM (43h)."""
+        value = _LAST_U.unpack(request)[0]
+        if request[1] > 3 or not (value == 0 or 100 <= value <= 60_000):
+            self._warn(f"acceleration {request[1]} = {value} deg/s² is ignored")
+            return None
+        self._rom.acceleration[request[1]] = value
+        self._write()
+        return request
+
+    def gain(self, request: bytes) -> bytes | None:
+        """Write a gain to RAM (31h) or ROM (32h); it has no effect here."""
+        if request[1] not in _GAINS:
+            return None
+        self._gains[request[1]] = request[4:]
+        if request[0] == 0x32:
+            self._rom.gains[request[1]] = request[4:]
+            self._write()
+        return request
+
+    def zero(self, request: bytes) -> bytes:
+        """Write the zero (63h), or the present position as zero (64h); valid after a restart."""
+        offset = self._pulses_now() if request[0] == 0x64 else _LAST.unpack(request)[0]
+        self._write(offset=offset)
+        return self._plain(request, offset)
+
+    def interruption(self, request: bytes) -> bytes:
+        """Write the interruption time (B3h)."""
+        self._write(interruption_ms=_LAST_U.unpack(request)[0])
+        self._hear()
+        return request
+
+    def reply(self, request: bytes) -> None:
+        """Send an answer by itself (B6h), instead of when it is asked."""
+        command, period = request[1], int.from_bytes(request[3:5], "little")
+        self._active.pop(command, None)
+        self._active_ns.pop(command, None)
+        if request[2] and period and command in _REPLIES:
+            self._active[command] = period * 10_000_000
+            self._active_ns[command] = self._now_ns + self._active[command]
+
+    def control(self, request: bytes) -> bytes:
+        """Control a function (20h)."""
+        index, value = request[1], _LAST.unpack(request)[0]
+        if index == 1:
+            self._write(offset=self._pulses_now())
+        elif index == 2:
+            self._write(is_filtered=bool(value))
+        elif index == 3:
+            self._reports = bool(value)
+            self._report_ns = self._now_ns + _ERROR_NS if value and self._errors else NEVER_NS
+        elif index == 4:
+            self._write(keeps_turns=bool(value))
+        elif index == 5 and 1 <= value <= 32:
+            self._write(node_id=value)
+        elif index in (6, 7):
+            low, high = self._rom.limits
+            self._write(limits=(low, value) if index == 6 else (value, high))
+        return request
+
+    # --- physical inputs, and the rest of the interface
+
+    def stimulate(self, name: str, value: float, now_ns: int) -> None:
+        """Set load [N·m], supply [V] or power (1, 0), or cause a fault with these bits.
+
+        Raises:
+            ValueError: there is no such stimulus, or the value is out of range.
+        """
+        self._at(now_ns)
+        if name == "load_torque_n_m":
+            low, high = RANGES[name]
+            if not low <= value <= high:
+                raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
+            self._axis.set_load(value)
+        elif name == "supply_v":
+            self._axis.set_supply(value)
+        elif name == "fault":
+            if value not in range(1, 0x4000):
+                raise ValueError(f"fault = {value}: out of range; expected bits of 1 to 3FFFh")
+            self._fail(int(value), ns(self._settings.fault_s))
+        elif name == "power":
+            if value and not self._is_on:
+                self.start(now_ns)
+            elif not value:
+                self._off()
+                self._is_on = False
+        else:
+            known = "load_torque_n_m, supply_v, fault, power"
+            raise ValueError(f"there is no stimulus {name!r}; known: {known}")
+
+    def sent(self, data: bytes, now_ns: int) -> bool | None:
+        """Handle a transmitted frame of this drive; nothing follows from it."""
+        return False
+
+    def wants_sent(self) -> bool:
+        """Return False: calls of `sent` are not needed."""
+        return False
+
+    def take_output(self) -> Sequence[bytes]:
+        """Return the frames to queue now."""
+        out, self._out = self._out, []
+        return out
+
+    def take_events(self) -> Sequence[tuple[str, str]]:
+        """Return (level, text) of the events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _warn(self, message: str) -> None:
+        self._events.append(("warning", message))
+
+    def snapshot(self, now_ns: int) -> Mapping[str, float]:
+        """Return the true values at `now_ns`; those in rad and N·m are at the output."""
+        axis = self._axis
+        axis.at(now_ns)
+        return {
+            "position_rad": axis.output_position_rad(),
+            "velocity_rad_s": axis.output_velocity_rad_s(),
+            "position_inc": float(axis.position_inc()),
+            "demand_inc": float(axis.demand_inc()),
+            "current_a": axis.current_a(),
+            "torque_n_m": axis.torque_n_m(),
+            "mode": float(self._mode),
+            "fault": float(self._errors),
+            "rom_writes": float(self._rom.writes),
+            **axis.truth_of_extras(),
+        }
+
+    def identifiers(self) -> Sequence[int] | None:
+        """Return the identifiers of its requests, of those to all, and of the setting of IDs."""
+        return [_REQUEST + self._node, _ALL, _SETTING]
+
+    def identifiers_revision(self) -> int:
+        """Return a number that grows when the ID changes."""
+        return self._revision
+
+    # --- reading
+
+    def read_number(self, request: bytes) -> bytes:
+        """Answer a request for one number in the last four bytes."""
+        command, index = request[0], request[1]
+        if command == 0x42:
+            return self._plain(request, self._rom.acceleration[index] if index < 4 else 0)
+        raw = self._pulses_now()
+        values = {
+            0x60: raw - self._offset,
+            0x61: raw,
+            0x62: self._offset,
+            0x92: self._centidegrees(),
+            0x94: self._centidegrees() % 36_000 << 16,
+            0xB1: (self._now_ns - self._start_ns) // 1_000_000,
+            0xB2: self._settings.date,
+        }
+        return self._plain(request, values[command])
+
+    def read_gain(self, request: bytes) -> bytes:
+        """Answer with a gain (30h)."""
+        return request[:4] + self._gains.get(request[1], bytes(4))
+
+    def read_other(self, request: bytes) -> bytes:
+        """Answer with the mode (70h), the power (71h) or the model (B5h)."""
+        if request[0] == 0x70:
+            return request[:7] + bytes((self._mode,))
+        if request[0] == 0xB5:
+            return request[:1] + self._settings.model.encode()[:7].ljust(7, b"\0")
+        speed_rad_s = self._axis.velocity_inc_s() / self._plant.increments_per_rad()
+        amps, back = self._axis.current_a(), self._plant.torque_constant_n_m_a * speed_rad_s
+        watts = abs(amps * (back + amps * self._plant.resistance_ohm))
+        return request[:6] + min(0xFFFF, int(watts * 10)).to_bytes(2, "little")
+
+    def read_status(self, request: bytes) -> bytes:
+        """Answer with a status (9Ah, 9Ch, 9Dh) or the single-turn encoder (90h)."""
+        told = {
+            0x90: self._encoder,
+            0x9A: self._status_1,
+            0x9C: self._status_2,
+            0x9D: self._status_3,
+        }
+        return told[request[0]](request)
+
+
+def _short(value: float) -> int:
+    """Return a whole number that fits 16 bits, truncated toward zero."""
+    return int(max(-32768.0, min(32767.0, value)))
+
+
+_READS: Final[dict[int, Callable[[RmdController, bytes], bytes]]] = {
+    0x30: RmdController.read_gain,
+    **dict.fromkeys((0x42, 0x60, 0x61, 0x62, 0x92, 0x94, 0xB1, 0xB2), RmdController.read_number),
+    **dict.fromkeys((0x70, 0x71, 0xB5), RmdController.read_other),
+    **dict.fromkeys((0x90, 0x9A, 0x9C, 0x9D), RmdController.read_status),
+}
+_WRITES: Final[dict[int, Callable[[RmdController, bytes], bytes | None]]] = {
+    0x20: RmdController.control,
+    0x31: RmdController.gain,
+    0x32: RmdController.gain,
+    0x43: RmdController.acceleration,
+    0x63: RmdController.zero,
+    0x64: RmdController.zero,
+    0x76: RmdController.reset,
+    0x77: RmdController.brake,
+    0x78: RmdController.brake,
+    0x80: RmdController.shutdown,
+    0x81: RmdController.stop,
+    0xA1: RmdController.current,
+    0xA2: RmdController.speed,
+    0xA4: RmdController.position,
+    0xA6: RmdController.single_turn,
+    0xA8: RmdController.increment,
+    0xB3: RmdController.interruption,
+    0xB6: RmdController.reply,
+}
+
+
+@controller(api=1)
+def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+    """Build the drive from its table in a rig.
+
+    Raises:
+        SettingError: a key or value is wrong; names the keys.
+    """
+    table = read(RmdTable, settings)
+    stream = context.stream()
+    return on_own_time(RmdController(table, stream), table.motor(stream).oscillator)

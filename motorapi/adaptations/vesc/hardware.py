@@ -1,0 +1,437 @@
+"""The hardware class of a VESC on CAN, in turns of its motor.
+
+A VESC has no profile generator, acknowledges no command, and reports neither its mode nor a fault
+in its status frames. So the host does three things at all times:
+
+- It streams every motion (`SetpointStream`). A position is an angle within `position_divider` turns
+  of the motor; the controller takes the shorter way, so that small steps go on over many turns.
+- It asks for the fault. A fault clears itself after half a second; the host keeps it until
+  `reset_fault`, so that no application misses it.
+- It sends ALIVE while it is the last commander, as the controller releases its motor otherwise.
+
+The position combines the angle (STATUS_4, fine, of few turns) and the tachometer (STATUS_5, coarse,
+of all turns since power-on).
+
+Source: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
+"""
+
+from binascii import crc_hqx
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
+from struct import Struct
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+from motorhil.motorapi.api import (
+    CanDrive,
+    Fault,
+    LinkError,
+    MotorError,
+    Options,
+    PeerError,
+    PeriodicMessage,
+    SentFrame,
+    StreamedMotion,
+    UsageError,
+    checked_node,
+    number,
+    whole,
+)
+
+if TYPE_CHECKING:
+    import can
+
+    from motorhil.motorapi.api import BoundFence, Runtime
+
+NODE_ID_MAX: Final = 254
+FOLLOWING_ERROR: Final = 0x8611  # found by the host; the number is that of CiA 402
+FIRMWARES: Final = (6, 7)  # major versions with the frames used here
+FAULTS: Final = {
+    **{1: "over voltage", 2: "under voltage", 3: "gate driver", 4: "absolute over current"},
+    **{5: "over temperature of the MOSFETs", 6: "over temperature of the motor"},
+    **{7: "gate driver over voltage", 8: "gate driver under voltage", 9: "MCU under voltage"},
+    **{10: "booting from watchdog reset", 11: "encoder SPI", 12: "encoder below minimum"},
+    **{13: "encoder above maximum", 14: "flash corruption", 15: "offset of current sensor 1"},
+    **{16: "offset of current sensor 2", 17: "offset of current sensor 3"},
+    **{18: "unbalanced currents", 19: "brake", 20: "resolver LOT", 21: "resolver DOS"},
+    **{22: "resolver LOS", 23: "flash corruption of the app", 24: "flash corruption of the motor"},
+    **{25: "encoder without magnet", 26: "encoder magnet too strong", 27: "phase filter"},
+    **{28: "encoder", 29: "LV output", 30: "encoder slip", 31: "overspeed", 32: "underspeed"},
+    33: "absolute overspeed",
+}
+
+_STATUS, _STATUS_4, _STATUS_5, _NOTIFY_BOOT = 9, 16, 27, 57
+_FILL, _PROCESS, _SHORT = 5, 7, 8
+_FW_VERSION, _SELECTIVE, _ALIVE = 0, 50, 30
+_FAULT_MASK: Final = bytes((_SELECTIVE, 0, 0, 0x80, 0))
+_COMMANDS: Final = (*range(5), *range(10, 14))  # that move or stop the motor
+_MOVING: Final = (*range(5, 11), 29, 84, 159)  # packets that move or stop the motor
+_LACKS: Final = "STATUS, STATUS_4 and STATUS_5"
+_ERPM: Final = Struct(">i4x")
+_ANGLE: Final = Struct(">6xh")
+_TACHOMETER: Final = Struct(">i4x")
+_VALUE: Final = Struct(">i")
+_STATUS_S: Final = 0.01  # least usual period of the status frames
+_PACKET_S: Final = 0.025  # of ALIVE, and of asking for the fault, in turns
+_CONNECT_S: Final = 3.0
+_FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is the wrong one
+_ANSWER_S: Final = 0.2
+_SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
+_BOOTED_NS: Final = 1_000_000_000
+
+
+class Mode(IntEnum):
+    """The commands that this adaptation sends, with the scale of their number."""
+
+    CURRENT = 1
+    BRAKE = 2
+    SPEED = 3
+    POSITION = 4
+
+
+class Estimate(NamedTuple):
+    """Position and velocity [turns, turns/s] of the motor, and when they were complete [ns]."""
+
+    position: float
+    velocity: float
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VescOptions(Options):
+    """The options of a hardware object; in a rig, keys of the motor's table."""
+
+    host_id: int | None = whole(
+        None, 0, 254, "", "Own id on the bus, of no other node; absent: 128 + node_id."
+    )
+    pole_pairs: int = whole(7, 1, 1000, "", "ERPM per rpm, as configured (motor poles / 2).")
+    position_divider: float = number(
+        1.0, 0, 1e6, doc="Turns of the motor in 360 degrees of position.", above=True
+    )
+    erpm_min: float = number(900.0, 0, doc="Least ERPM of speed control, as configured.")
+    stream_period_ms: float = number(
+        5.0, 0.1, 500.0, "ms", "Period of streamed set-points.", plausible=(1.0, 50.0)
+    )
+    lead_ms: float = number(
+        *(16.5, 0, 1000.0, "ms", "Lead of streamed positions: kd / kp, and half a period."),
+        plausible=(0.1, 200.0),
+    )
+    status_timeout_ms: float = number(
+        *(200.0, 0, 1e6, "ms", "Time without STATUS after which the drive is lost."),
+        above=True,
+        plausible=(10.0, 5000.0),
+    )
+    brake_current_a: float = number(
+        *(10.0, 0, 1e4, "A", "Brake current of a stop by a program that does not own the motor."),
+        plausible=(0.01, 1000.0),
+    )
+
+
+@final
+class VescHwMotor:
+    """One VESC on a CAN bus, by controller id; shared by all logical motors and threads.
+
+    Attributes:
+        drive: its connection.
+        motions: the motion that is streamed to it.
+        held: the last position sent [turns]; None: positions are not controlled.
+        estimate: the last measurement, or None.
+        fault: the fault that the drive reported last, or FOLLOWING_ERROR; until `reset_fault`.
+        users: the number of motors built on it from settings; the last one closes it.
+
+    Raises:
+        UsageError: a hardware object for this drive exists already, or a number is out of range.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        node_id: int,
+        *,
+        runtime: "Runtime | None" = None,
+        options: VescOptions | None = None,
+    ) -> None:
+        self.node_id: Final = checked_node(node_id, NODE_ID_MAX, "node_id of a VESC")
+        self.options: Final = VescOptions() if options is None else options
+        host_id = self.options.host_id
+        self._host_id: Final = 128 + node_id if host_id is None else host_id
+        if self._host_id > NODE_ID_MAX or self._host_id == node_id:
+            raise UsageError(
+                f"host_id = {self._host_id} for node_id {node_id}: not usable; expected a free id"
+                f" of 0 to {NODE_ID_MAX}; give host_id"
+            )
+        self.held: float | None = None
+        self.estimate: Estimate | None = None
+        self.fault: Fault | None = None
+        self.users = 0
+        self.reports = 0  # answers about the fault
+        self._reported = 0
+        self._firmware: tuple[int, int] | None = None
+        self._velocity = 0.0
+        self._angle: float | None = None
+        self._offset: float | None = None  # tachometer minus angle [turns], except whole spans
+        self._packet = b""
+        self._since_ns = 0  # first frame since the drive was lost
+        self._asks = self._is_known = False  # whether it was connected once
+        self._feeds = False  # whether this program was the last to command the drive
+        self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime, extended=True)
+        self.label: Final = self.drive.label
+        own = self.options
+        self.motions: Final = StreamedMotion(
+            self.drive, own.stream_period_ms / 1e3, own.lead_ms / 1e3
+        )
+        self._life = self.drive.expect("STATUS", self.options.status_timeout_ms / 1e3, self._lose)
+        self._answers = self.drive.expect("answer to GET_VALUES_SELECTIVE", _SILENCE_S)
+        handlers: dict[int, Callable[[bytes, int], None]] = {
+            _STATUS << 8 | node_id: self._on_status,
+            _STATUS_4 << 8 | node_id: self._on_angle,
+            _STATUS_5 << 8 | node_id: self._on_tachometer,
+            _NOTIFY_BOOT << 8 | node_id: self._on_boot,
+            _SHORT << 8 | node_id: self._on_foreign_packet,
+            _SHORT << 8 | self._host_id: self._on_answer,
+            _FILL << 8 | self._host_id: self._on_part,
+            _PROCESS << 8 | self._host_id: self._on_end,
+        }
+        for command in _COMMANDS:
+            handlers[command << 8 | node_id] = partial(self._on_foreign, command)
+        for can_id, handler in handlers.items():
+            self.drive.handle(can_id, handler)
+        self.drive.every(_PACKET_S, self._keep_alive)
+
+    @property
+    def is_closed(self) -> bool:
+        """True after `close`."""
+        return self.drive.is_closed
+
+    def close(self) -> None:
+        """Stop sending and receiving; the drive's timeout then releases the motor."""
+        self.drive.close(at_rest=not self.motions.is_going)
+        self.motions.forget()
+
+    def connect(self) -> None:
+        """Wait until the drive is heard, and check its firmware; free if this is known.
+
+        Raises:
+            LinkError: the drive is not heard, or this object is closed, or the bus is off.
+            PeerError: its status frames are off, or its firmware is not known.
+        """
+        if self._is_up():
+            return
+        try:
+            self.drive.connect(self._is_up, self._greet, _CONNECT_S, _LACKS)
+        except LinkError as error:
+            if self._firmware is None or self.drive.is_closed or self.drive.status.is_off:
+                raise
+            raise PeerError(
+                f"{self.label}: it answers, but sends no {_LACKS} within {_CONNECT_S:g} s; expected"
+                " bits 0, 3 and 4 of its CAN status messages, which are off by default; set them"
+                " (VESC Tool: App Settings, General, CAN Status Messages)"
+            ) from error
+        assert self._firmware is not None  # of _is_up
+        major, minor = self._firmware
+        if major not in FIRMWARES:
+            self._firmware = None
+            known = " and ".join(f"{one}.x" for one in FIRMWARES)
+            raise PeerError(
+                f"{self.label}: firmware {major}.{minor:02d} is not supported; expected {known};"
+                " update it"
+            )
+        self._is_known = True
+        self._note_traffic()
+
+    def _is_up(self) -> bool:
+        known = self._firmware is not None and self.estimate is not None and self.reports > 0
+        return known and not self.drive.is_lost
+
+    # --- commands: values in A, turns/s, turns
+
+    def tell(self, mode: Mode, value: float, fence: "BoundFence | None" = None) -> SentFrame:
+        """Send a command, only while this program owns the motor.
+
+        Raises:
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: another user owns the motor, or has low-level access.
+        """
+        sent = self.drive.command(mode << 8 | self.node_id, self._encoded(mode, value), fence=fence)
+        self._feeds = True
+        self.held = value if mode is Mode.POSITION else None
+        return sent
+
+    def release(self) -> SentFrame:
+        """Release the motor, which then coasts."""
+        self.motions.forget()
+        return self.tell(Mode.CURRENT, 0.0)
+
+    def brake_anyway(self) -> SentFrame:
+        """Brake, whoever owns the motor."""
+        data = self._encoded(Mode.BRAKE, self.options.brake_current_a)
+        return self.drive.stop_command(Mode.BRAKE << 8 | self.node_id, data)
+
+    def sender(self, mode: Mode) -> "Callable[[float, BoundFence | None], SentFrame]":
+        """Return a function that sends a value in this mode, for `motions`."""
+        return partial(self.tell, mode)
+
+    def measured(self) -> tuple[float, float]:
+        """Return position and velocity now [turns, turns/s], extrapolated to the present."""
+        last = self.estimate
+        assert last is not None  # connected before
+        age_s = (self.drive.runtime.now_ns() - last.time_ns) / 1e9
+        return last.position + last.velocity * age_s, last.velocity
+
+    def scale(self, mode: Mode) -> float:
+        """Return the number of a command for 1 of its value."""
+        if mode is Mode.SPEED:
+            return 60.0 * self.options.pole_pairs
+        return 360e6 / self.options.position_divider if mode is Mode.POSITION else 1e3
+
+    def _encoded(self, mode: Mode, value: float) -> bytes:
+        raw = round(value * self.scale(mode))
+        return _VALUE.pack(raw % 360_000_000 if mode is Mode.POSITION else raw)
+
+    # --- requests
+
+    def read_fault(self) -> int:
+        """Return the fault code that the drive reports now; 0: none.
+
+        Raises:
+            DeadlineExceeded: it does not answer.
+        """
+        before = self.reports
+        self.drive.exchange(
+            lambda: self._ask(_FAULT_MASK),
+            lambda: self.reports > before,
+            *(_ANSWER_S, "answer to GET_VALUES_SELECTIVE", _PACKET_S),
+        )
+        return self._reported
+
+    def _ask(self, packet: bytes, mode: int = 0) -> None:
+        """Send a packet that only reads or keeps alive; do not wait."""
+        data = bytes((self._host_id, mode)) + packet
+        self.drive.request(_SHORT << 8 | self.node_id, data)
+
+    def _greet(self) -> None:
+        self._ask(bytes((_FW_VERSION,)))
+        self._ask(_FAULT_MASK)
+
+    def _keep_alive(self) -> None:
+        """Feed the drive's timeout and ask for its fault, in turns."""
+        self._asks = not self._asks
+        if not self._is_known or self.drive.status.is_off:
+            return
+        with suppress(LinkError):
+            if self._asks:
+                self._ask(_FAULT_MASK)
+            elif self._feeds:
+                self._ask(bytes((_ALIVE,)), mode=2)
+
+    def _note_traffic(self) -> None:
+        sent = [(one, 8, _STATUS_S) for one in (_STATUS, _STATUS_4, _STATUS_5)]
+        stream_s = self.options.stream_period_ms / 1e3
+        ours = [(Mode.POSITION, 4, stream_s), (_SHORT, 7, _PACKET_S)]
+        of_drive, of_host = (
+            tuple(
+                PeriodicMessage(command << 8 | self.node_id, size, period_s, extended=True)
+                for command, size, period_s in messages
+            )
+            for messages in (sent, ours)
+        )
+        self.drive.note_traffic(of_drive, of_host)
+
+    # --- frames of the drive
+
+    def _on_status(self, data: bytes, time_ns: int) -> None:
+        if len(data) == _ERPM.size:
+            self._velocity = _ERPM.unpack(data)[0] / (60.0 * self.options.pole_pairs)
+            if self._life.came(time_ns):
+                self._since_ns = time_ns
+
+    def _on_angle(self, data: bytes, time_ns: int) -> None:
+        if len(data) == _ANGLE.size:
+            self._angle = _ANGLE.unpack(data)[0] / 18_000.0 * self.options.position_divider
+
+    def _on_tachometer(self, data: bytes, time_ns: int) -> None:
+        angle, span = self._angle, self.options.position_divider
+        if len(data) != _TACHOMETER.size or angle is None:
+            return
+        turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
+        if self._offset is None:
+            self._offset = turns - angle - span * round((turns - angle) / span)
+        position = angle + span * round((turns - self._offset - angle) / span)
+        before = self.estimate
+        if before is not None:
+            possible = abs(self._velocity) + abs(before.velocity)
+            possible *= (time_ns - before.time_ns) / 1e9
+            if abs(position - before.position) > _FOLLOW_MAX * span + possible:
+                self._lose()  # the drive has restarted, and its tachometer too
+                return
+        self.estimate = Estimate(position, self._velocity, time_ns)
+        self._check_following(position)
+
+    def _check_following(self, position: float) -> None:
+        """Stop a motion whose motor is so far behind that the controller would turn back."""
+        limit = _FOLLOW_MAX * self.options.position_divider
+        if self.held is not None and abs(self.held - position) >= limit:
+            self.fail(f"the motor is {limit:.3g} turns or more off its set-point")
+
+    def fail(self, problem: str) -> None:
+        """Report a following error, and brake."""
+        self._raise_fault(FOLLOWING_ERROR, problem)
+        with suppress(MotorError):
+            self.brake_anyway()
+
+    def _raise_fault(self, code: int, problem: str) -> None:
+        self.fault = Fault(code, problem, self.drive.runtime.now_ns())
+        self.motions.forget()
+        self.held = None
+
+    def _on_boot(self, data: bytes, time_ns: int) -> None:
+        """Note a restart; the notice of a start comes half a second after the first frames."""
+        if time_ns - self._since_ns > _BOOTED_NS:
+            self._lose()
+
+    def _on_answer(self, data: bytes, time_ns: int) -> None:
+        if data[:1] != bytes((self.node_id,)) or data[2:7] != _FAULT_MASK or len(data) < 8:
+            return
+        self.reports += 1
+        self._answers.came(time_ns)
+        self._reported = data[7]
+        if data[7] and (self.fault is None or self.fault.code != data[7]):
+            self._raise_fault(data[7], FAULTS.get(data[7], "unknown fault"))
+
+    def _on_part(self, data: bytes, time_ns: int) -> None:
+        if data[:1] == b"\0":
+            self._packet = data[1:]
+        elif data[:1] == bytes((len(self._packet) & 0xFF,)):
+            self._packet += data[1:]
+
+    def _on_end(self, data: bytes, time_ns: int) -> None:
+        packet, self._packet = self._packet, b""
+        told = int.from_bytes(data[2:4], "big"), int.from_bytes(data[4:6], "big")
+        is_whole = told == (len(packet), crc_hqx(packet, 0))
+        if data[:1] == bytes((self.node_id,)) and is_whole and packet[:1] == bytes((_FW_VERSION,)):
+            self._firmware = packet[1], packet[2]
+
+    # --- frames of other programs
+
+    def _on_foreign(self, command: int, data: bytes, time_ns: int) -> None:
+        self.forget()
+        self.drive.overheard(f"command {command}", time_ns)
+
+    def _on_foreign_packet(self, data: bytes, time_ns: int) -> None:
+        if len(data) > 2 and data[2] in _MOVING:
+            self.forget()
+            self.drive.overheard(f"packet {data[2]}", time_ns)
+
+    def forget(self) -> None:
+        """Forget what the drive was told: another program commands it, or it was lost."""
+        self.motions.forget()
+        self._feeds = False
+        self.held = None
+        self.drive.doubt()
+
+    def _lose(self) -> None:
+        self.forget()
+        self._firmware = self._offset = self._angle = self.estimate = None
+        self.reports = 0

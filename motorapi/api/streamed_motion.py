@@ -1,0 +1,155 @@
+"""Motions that the host streams from the present demand, for drives without a profile generator.
+
+Values are in units of the drive; a motion comes with its scale. A set-point begins at the demand of
+the motion that it replaces, and with its rate, so that nothing jumps. A position is streamed along
+the shortest trapezoid, another variable along a ramp, and a trajectory as it is.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.api.setpoint_stream import SendSetpoint, SetpointStream
+from motorhil.motorapi.commands import ControlVariable
+from motorhil.motorapi.generation import ProfileLimits, trapezoid
+from motorhil.motorapi.planning.sampling import Ramps, demand_of
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.api.can_drive import CanDrive
+    from motorhil.motorapi.errors import MotorError
+    from motorhil.motorapi.motion import Motion
+    from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
+
+_STEP_S: Final = 1e-4  # over which a rate is found
+
+Course = tuple[Callable[[float], float], float]
+"""(value over the time since the start [s], its duration [s])."""
+
+
+@final
+class StreamedMotion:
+    """The motion of one drive, streamed by `SetpointStream`.
+
+    Args:
+        drive: the drive.
+        period_s: the time between two set-points [s].
+        lead_s: the time by which positions are sent ahead [s], for the lag of the drive.
+
+    Attributes:
+        variable: the control variable of the last command; None: released, or not known.
+    """
+
+    def __init__(self, drive: "CanDrive", period_s: float, lead_s: float = 0.0) -> None:
+        self.variable: ControlVariable | None = None
+        self._drive: Final = drive
+        self._period_s: Final = period_s
+        self._lead_s: Final = lead_s
+        self._stream: SetpointStream | None = None
+        self._course: Course = (float, 0.0)
+        self._began_ns = 0
+
+    @property
+    def is_going(self) -> bool:
+        """True if more set-points will come."""
+        return self._stream is not None and self._stream.is_going
+
+    @property
+    def error(self) -> "MotorError | None":
+        """The error that ended the last stream early, or None."""
+        return None if self._stream is None else self._stream.error
+
+    @property
+    def since_end_s(self) -> float:
+        """The time since the end of the last course [s]; below 0 before it."""
+        return self._elapsed_s() - self._course[1]
+
+    def start(
+        self, motion: "Motion", scale: float, measured: tuple[float, float], send: SendSetpoint
+    ) -> "SentFrame":
+        """Start a motion, and return its first frame; raise as `CanDrive.command`.
+
+        Args:
+            motion: the motion.
+            scale: units of the drive per unit of the motion's variable, signed.
+            measured: position and velocity now, in units of the drive.
+            send: sends one set-point.
+        """
+        value, rate = self.now(motion.variable, measured)
+        if motion.trajectory is not None:
+            demand = demand_of(motion)
+            began, ends = demand.initial_argument, demand.final_argument
+            course: Course = (lambda at_s: demand.value(began + at_s) * scale, ends - began)
+        elif motion.variable is ControlVariable.POSITION:
+            size = abs(scale)
+            most = motion.velocity * size
+            limits = ProfileLimits(most, motion.acceleration * size, motion.deceleration * size)
+            rate = max(-most, min(most, rate))
+            profile = trapezoid(motion.target * scale, limits, initial=value, initial_velocity=rate)
+            course = (profile.value, profile.duration_s)
+        else:
+            course = _ramp(motion, value, scale)
+        return self._follow(motion.variable, course, send)
+
+    def stop(
+        self, deceleration: float, measured: tuple[float, float], send: SendSetpoint
+    ) -> "SentFrame":
+        """Slow down to rest with positions, then hold; return and raise as `start`."""
+        position, velocity = self.now(ControlVariable.POSITION, measured)
+        ramps = Ramps(velocity, 0.0, deceleration, deceleration)
+        course = (lambda at_s: ramps.integral(at_s, position), ramps.duration_s)
+        return self._follow(ControlVariable.POSITION, course, send)
+
+    def hold(self, measured: tuple[float, float], send: SendSetpoint) -> "SentFrame":
+        """Hold the present position; return and raise as `start`."""
+        position, _ = self.now(ControlVariable.POSITION, measured)
+        return self._follow(ControlVariable.POSITION, (lambda _: position, 0.0), send)
+
+    def now(self, variable: ControlVariable, measured: tuple[float, float]) -> tuple[float, float]:
+        """Return the demand of a variable and its rate now; if it has none, what is measured."""
+        stream = self._stream
+        if self.variable is not variable or stream is None or stream.last is None:
+            value = measured[1] if variable is ControlVariable.VELOCITY else 0.0
+            return measured if variable is ControlVariable.POSITION else (value, 0.0)
+        if variable is not ControlVariable.POSITION or not stream.is_going:
+            return stream.last, 0.0
+        at_s, demand = self._elapsed_s(), self._course[0]
+        return demand(at_s), (demand(at_s + _STEP_S) - demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
+
+    def cancel(self) -> None:
+        """End the stream; the drive keeps the last set-point."""
+        if self._stream is not None:
+            self._stream.cancel()
+
+    def forget(self) -> None:
+        """End the stream, and forget the demand: the drive was released, or is not ours."""
+        self.cancel()
+        self.variable = self._stream = None
+
+    def _elapsed_s(self) -> float:
+        return (self._drive.runtime.now_ns() - self._began_ns) / 1e9
+
+    def _follow(self, variable: ControlVariable, course: Course, send: SendSetpoint) -> "SentFrame":
+        value, duration_s = course
+        lead_s = self._lead_s if variable is ControlVariable.POSITION else 0.0
+        self.cancel()
+        self._course, self._began_ns = course, self._drive.runtime.now_ns()
+        self.variable = variable
+        self._stream = SetpointStream(
+            self._drive,
+            lambda at_s: value(min(at_s + lead_s, duration_s)),
+            *(duration_s, self._period_s, send, lambda _: None),
+        )
+        return self._stream.begin()
+
+
+def _ramp(motion: "Motion", value: float, scale: float) -> Course:
+    """Return the course of a set-point of velocity or current from its present value."""
+    up, down = motion.slope, motion.slope
+    if motion.variable is ControlVariable.VELOCITY:
+        up, down = motion.acceleration, motion.deceleration
+    ramps = Ramps(value / scale, motion.target, up, down)
+
+    def demand(at_s: float) -> float:
+        on_ramp = ramps.at(at_s)
+        return (motion.target if on_ramp is None else on_ramp[0]) * scale
+
+    return demand, ramps.duration_s

@@ -1,0 +1,297 @@
+"""A motor behind a VESC: its frames, and what the conformance kit does not ask.
+
+Golden frames: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
+"""
+
+from math import tau
+from pathlib import Path
+
+import can
+import pytest
+
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import RigError, Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, ControlVariable, MotorState
+from motorhil.motorapi.adaptations.vesc.hardware import Mode
+from motorhil.motorapi.adaptations.vesc.motor import VescMotor
+from motorhil.motorapi.errors import (
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    PeerError,
+    UsageError,
+)
+from motorhil.motorapi.model import MotorModel
+
+MODEL = """\
+velocity_max_rad_s = {}
+acceleration_max_rad_s2 = 4.0
+gear_ratio = {}
+position_tolerance_rad = {}
+"""
+WIDE = "position_divider = 8.0\nerpm_min = 10.0"
+GAINS = f"status_1 = 25\n{WIDE}\nposition_kp = 0.2\nposition_kd = 0.0028\nerpm_ramp_s = 100_000.0"
+
+
+def opened(drive=GAINS, motor=WIDE, node=23, velocity=2.0, gear=66.0, within=0.01):
+    """Return a rig of one VESC."""
+    text = (
+        "bus.can0.bitrate_bit_s = 500_000\n"
+        f'[controller.left]\nkind = "vesc"\nbus = "can0"\nnode_id = {node}\n{drive}\n'
+        'plant = { preset = "wheel_60w" }\n'
+        f'[motor.left]\nadaptation = "vesc"\ncontroller = "left"\n{motor}\n'
+        f"[motor.left.model]\n{MODEL.format(velocity, gear, within)}"
+    )
+    return Rig(parse_rig(Source(Path("vesc.toml"), text), installed_plugins()))
+
+
+def go_to(motor, target, variable=ControlVariable.POSITION):
+    motor.set_control_mode(ControlMode.SETPOINT, variable)
+    motor.set_setpoint(target)
+    motor.start()
+
+
+def true(rig, what="position_rad"):
+    return rig.controllers["left"].snapshot()[what]
+
+
+class Ear:
+    """All frames to and from the drive, with its own bus object."""
+
+    def __init__(self, rig):
+        self.bus = can.Bus(interface="emulated", channel="can0")
+        self.rig = rig
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.bus.shutdown()
+
+    def heard(self):
+        frames = []
+        while (message := self.bus.recv(0)) is not None:
+            assert message.is_extended_id
+            frames.append((message.arbitration_id, bytes(message.data).hex().upper()))
+        return frames
+
+    def say(self, can_id, data):
+        message = can.Message(arbitration_id=can_id, data=bytes.fromhex(data), is_extended_id=True)
+        self.bus.send(message)
+        self.rig.runtime.wait_until(lambda: False, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("mode", "value", "frame"),
+    [
+        (Mode.CURRENT, 51.0, (0x117, "0000C738")),
+        (Mode.BRAKE, 5.0, (0x217, "00001388")),
+        (Mode.SPEED, 3000 / 60 / 7, (0x317, "00000BB8")),
+        (Mode.POSITION, 0.25, (0x417, "055D4A80")),
+        (Mode.POSITION, -0.75, (0x417, "055D4A80")),  # the same angle, a turn before
+    ],
+)
+def test_command_is_the_frame_of_the_firmware(mode, value, frame):
+    with opened("status_1 = 25", "") as rig, Ear(rig) as ear:
+        hardware = rig.motors["left"].hardware
+        rig.motors["left"].position()  # connects
+        ear.heard()
+        hardware.drive.confirm(hardware.tell(mode, value))
+        assert frame in ear.heard()
+
+
+def test_host_asks_and_keeps_alive_with_short_packets():
+    with opened() as rig, Ear(rig) as ear:
+        rig.motors["left"].enable()
+        rig.runtime.run_for(0.2)
+        frames = ear.heard()
+    assert frames.count((0x817, "970000")) == 1  # FW_VERSION, asked by 128 + 23
+    assert (0x817, "97003200008000") in frames  # GET_VALUES_SELECTIVE: the fault alone
+    assert 3 <= frames.count((0x817, "97021E")) <= 5  # ALIVE, every 50 ms
+    assert (0x897, "1701320000800000") in frames
+
+
+@pytest.mark.parametrize(("target", "gear"), [(20 * tau, 1.0), (-3 * tau, -10.0)])
+def test_motor_goes_on_over_turns_of_its_encoder(target, gear):
+    with opened("status_1 = 25", "", velocity=10.0 / abs(gear), gear=gear, within=0.03) as rig:
+        motor = rig.motors["left"]
+        go_to(motor, target)
+        motor.wait_until_done(timeout_s=120)
+        turns = true(rig) * 66.0 / tau  # of the plant's motor
+        assert turns == pytest.approx(target * gear / tau, abs=0.005)  # friction, no integrator
+        assert motor.position() == pytest.approx(target, abs=0.06)
+
+
+def test_position_is_that_of_another_program_afterwards():
+    with opened() as rig:
+        go_to(rig.motors["left"], 3.0)
+        rig.motors["left"].wait_until_done(timeout_s=10)
+        rig.motors["left"].hardware._lose()  # what a new program knows
+        assert rig.motors["left"].position() == pytest.approx(3.0, abs=0.005)
+
+
+# --- errors
+
+
+def test_status_frames_that_are_off_are_told_with_a_remedy():
+    with opened(drive="") as rig, pytest.raises(PeerError) as error:
+        rig.motors["left"].enable()
+    assert str(error.value) == (
+        "can0 node 23: it answers, but sends no STATUS, STATUS_4 and STATUS_5 within 3 s; expected"
+        " bits 0, 3 and 4 of its CAN status messages, which are off by default; set them (VESC"
+        " Tool: App Settings, General, CAN Status Messages)"
+    )
+
+
+def test_silent_drive_is_a_lost_link():
+    with opened() as rig:
+        rig.controllers["left"].stimulate("power", 0)
+        with pytest.raises(LinkError, match="no STATUS, STATUS_4 and STATUS_5 within 3 s"):
+            rig.motors["left"].enable()
+
+
+@pytest.mark.parametrize("major", [5, 8])
+def test_foreign_firmware_is_refused(major):
+    drive = f"status_1 = 25\nfirmware_major = {major}\nfirmware_minor = 3"
+    with opened(drive) as rig, pytest.raises(PeerError) as error:
+        rig.motors["left"].enable()
+    assert f"firmware {major}.03 is not supported; expected 6.x and 7.x" in str(error.value)
+
+
+def test_frames_of_wrong_length_are_ignored():
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.enable()
+        before = motor.hardware.estimate
+        rig.controllers["left"].stimulate("power", 0)
+        rig.runtime.run_for(0.01)
+        for command in (0x9, 0x10, 0x1B, 0x39, 0x8):
+            ear.say(command << 8 | 23, "0000")
+        for command in (0x5, 0x7, 0x8):
+            ear.say(command << 8 | 128 + 23, "17")
+            ear.say(command << 8 | 128 + 23, "")
+        assert motor.hardware.estimate.position == before.position
+
+
+def test_velocity_below_erpm_min_is_refused():
+    with opened("status_1 = 25", "") as rig, pytest.raises(UsageError) as error:
+        go_to(rig.motors["left"], 0.15, ControlVariable.VELOCITY)
+    assert "is 662 ERPM; expected 0, or at least 900 ERPM" in str(error.value)
+
+
+def test_position_too_fast_for_the_shorter_way_is_refused():
+    with opened("status_1 = 25", "") as rig, pytest.raises(UsageError) as error:
+        go_to(rig.motors["left"], 1.0)
+    assert "expected at most 1.771 with position_divider = 1" in str(error.value)
+
+
+@pytest.mark.parametrize(("node", "motor"), [(127, ""), (5, "host_id = 5")])
+def test_host_id_that_is_not_free_is_refused(node, motor):
+    message = "not usable; expected a free id of 0 to 254"
+    with opened(node=node, motor=motor) as rig, pytest.raises(RigError, match=message):
+        rig.motors["left"].position()
+
+
+def test_model_without_gear_ratio_is_refused():
+    model = MotorModel(name="wheel", velocity_max=1.0, acceleration_max=1.0)
+    with opened() as rig:
+        hardware = rig.motors["left"].hardware
+        with pytest.raises(UsageError, match=r"gear_ratio = 1\.0 if there is no gear"):
+            VescMotor(hardware, model)
+
+
+# --- faults
+
+
+def test_fault_is_kept_after_the_drive_has_cleared_it():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 2.0)
+        rig.runtime.run_for(0.3)
+        rig.controllers["left"].stimulate("fault", 5)
+        with pytest.raises(DeviceFault, match="over temperature of the MOSFETs"):
+            motor.wait_until_done(timeout_s=5)
+        rig.runtime.run_for(2.0)
+        assert true(rig, "fault") == 0
+        assert motor.state() is MotorState.FAULT
+        assert motor.fault().code == 5
+        with pytest.raises(DeviceFault):
+            motor.start()
+        motor.reset_fault()
+        assert motor.state() is MotorState.DISABLED
+        go_to(motor, 1.0)
+        motor.wait_until_done(timeout_s=5)
+        assert true(rig) == pytest.approx(1.0, abs=0.003)
+
+
+def test_fault_is_reset_once_its_cause_has_gone():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        rig.controllers["left"].stimulate("fault", 3)
+        rig.runtime.run_for(0.1)
+        began_ns = rig.runtime.now_ns()
+        motor.reset_fault()
+        assert 0.3 < (rig.runtime.now_ns() - began_ns) / 1e9 < 0.5  # 0.5 s after the fault
+
+
+def test_motor_that_cannot_arrive_is_a_following_error():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        rig.controllers["left"].stimulate("load_torque_n_m", 25.0)
+        go_to(motor, 0.1)
+        with pytest.raises(DeviceFault) as error:
+            motor.wait_until_done(timeout_s=10)
+        assert error.value.code == 0x8611
+
+
+# --- other programs
+
+
+@pytest.mark.parametrize("frame", [(0x117, "00000000"), (0x817, "FE02060000000000"[:16])])
+def test_command_of_another_program_interrupts(frame):
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        go_to(motor, 2.0)
+        rig.runtime.run_for(0.3)
+        ear.say(*frame)
+        with pytest.raises(MotionInterrupted, match="another program"):
+            motor.wait_until_done(timeout_s=5)
+        assert motor.state() is MotorState.DISABLED
+
+
+@pytest.mark.parametrize("data", ["FE0004", "FE021E", "FE003200008000"])
+def test_reading_of_another_program_does_not_interrupt(data):
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        go_to(motor, 1.0)
+        ear.say(0x817, data)
+        motor.wait_until_done(timeout_s=5)
+
+
+def test_restarted_drive_is_noticed_and_moves_again():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 1.0)
+        motor.wait_until_done(timeout_s=5)
+        for power in (0, 1):
+            rig.controllers["left"].stimulate("power", power)  # shorter than the timeout of STATUS
+        rig.runtime.run_for(1.0)
+        assert motor.state() is not MotorState.ENABLED
+        motor.enable()
+        here = motor.position()
+        go_to(motor, here + 0.5)
+        motor.wait_until_done(timeout_s=5)
+        assert true(rig) == pytest.approx(1.5, abs=0.005)
+
+
+def test_drive_without_its_host_releases_the_motor():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 1.0, ControlVariable.VELOCITY)
+        motor.wait_until_done(timeout_s=5)
+        motor.hardware._feeds = False  # a program that hangs
+        rig.runtime.run_for(2.0)
+        assert (true(rig, "mode"), true(rig, "timeout")) == (0, 1)
+        assert true(rig, "velocity_rad_s") == 0.0
