@@ -45,7 +45,7 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
-from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
 from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
@@ -97,6 +97,7 @@ __all__ = [
     "PolledMotor",
     "ProcessLock",
     "Ramps",
+    "Registration",
     "Runtime",
     "SentFrame",
     "Setpoint",

@@ -85,6 +85,7 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
             ("mit", "two Damiao drives with MIT frames"),
             ("vesc", "two VESCs"),
             ("rmd", "two RMDs"),
+            ("dynamixel", "two Dynamixel servos on a serial line"),
         )
     },
     "moteus": ("two moteus controllers on CAN FD", (RIGS / "moteus.toml").read_text(), algorithms),

@@ -28,6 +28,7 @@ HELD = {
     "cia402": _DRIVE | {"rest-when-told"},
     "overload": _DRIVE | {"fault-told"},
     "software": _CAN | {"sync-period"},
+    "dynamixel": {"limit-velocity"},
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
     "mit": {"limit-velocity"},
