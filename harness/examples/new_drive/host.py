@@ -72,6 +72,7 @@ _ESTIMATE: Final = Struct("<ii")
 _COMMAND: Final = Struct("<BBxxi")
 _SPEED: Final = Struct("<I")
 _RAMPS: Final = Struct("<II")
+_TARGET_MAX: Final = 0x7FFF_FFFF
 OFF, ON, FAULT = 0, 1, 2
 SWITCH_OFF, SWITCH_ON, MOVE, STOP, CLEAR = range(5)
 NODE_ID_MAX: Final = 0x3F
@@ -446,13 +447,19 @@ class MydriveMotor(Motor):
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         size = abs(self._steps)
+        target, reach = round(motion.target * self._steps), _TARGET_MAX / size
+        if abs(target) > _TARGET_MAX:
+            raise UsageError(
+                f"{self.name}: target {motion.target:g} {self.model.unit}; the drive takes"
+                f" {-reach:g} to {reach:g} {self.model.unit}; move less far"
+            )
         self._hardware.set_limits(
             round(motion.velocity * size),
             round(motion.acceleration * size),
             round(motion.deceleration * size),
         )
         self._armed = True
-        return Start(self._hardware, round(motion.target * self._steps))
+        return Start(self._hardware, target)
 
     def _disarm(self) -> None:
         self._armed = False

@@ -343,7 +343,7 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
         target = share * way
         try:
             follow(motor, TrapezoidalTrajectory(target))
-        except (LimitError, PeerError) as error:  # in advance, or by the drive
+        except (UsageError, PeerError) as error:  # in advance, or by the drive
             if isinstance(error, LimitError):
                 _expect_outside(error)
             expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
