@@ -17,6 +17,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_unmoved,
     failure_of,
+    fastest,
     finish,
     finish_group,
     follow,
@@ -67,6 +68,7 @@ _WATCHED_S = 0.2
 _LOOKS = 10  # at the positions, while no caller waits
 _LEVELS = ("SEQUENTIAL", "TRIGGERED", "CYCLIC")
 _STREAMED_S = 20.0
+_SLOWLY = 0.1  # of the largest velocity
 _FIRST = 0.01  # of a streamed move: it has begun
 _FAR = 1e-6  # U: two skews that are not meant to differ
 
@@ -443,6 +445,27 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     ways = (way, -0.4 * way)
     group = pair_of(bench, *ways)
     group.synchronization = Synchronization.PHASE
+    slowly = _SLOWLY * bench.motors[1].model.velocity_max
+    for limits in (None, DerivativeLimits(first=slowly)):
+        first, second = ways
+        group.set_trajectory(
+            TrapezoidalTrajectory(first), TrapezoidalTrajectory(second, limits=limits)
+        )
+        track = _expect_line(bench, group, ways)
+        if limits is None:
+            continue
+        found = fastest([(at_ns / 1e9, at) for at_ns, (_, at) in track.samples])
+        unit = bench.motors[1].model.unit
+        expect(
+            found <= 1.1 * slowly,
+            f"{group[1].name}: limited to {slowly:g} {unit}/s, and {found:g} {unit}/s fast",
+        )
+
+
+def _expect_line(
+    bench: RigProtocol, group: MotorGroup, ways: tuple[float, float]
+) -> GroupPositions:
+    """Start the group, check that it stays on the line, as it tells, and return its positions."""
     can = group.sync_capability()
     track = GroupPositions(bench, group)
     group.start()
@@ -464,6 +487,7 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     )
     reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
     expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
+    return track
 
 
 def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> float:
