@@ -126,8 +126,11 @@ class VescTable(MotorTable):
         above=True,
         plausible=(1e-7, 1.0),
     )
+    encoder_turns: int = whole(
+        1, 1, 1_000_000, "", "Turns of the motor in one of its encoder; known at power-on."
+    )
     position_divider: float = number(
-        1.0, 0, 1e6, "", "Turns of the motor in 360 degrees of position.", above=True
+        1.0, 0, 1e6, "", "Turns of the encoder in 360 degrees of position.", above=True
     )
     voltage_min_v: float = number(
         *(8.0, 0, 1e6, "V", "Fault 2, under voltage, below; needs a DC link."),
@@ -176,8 +179,9 @@ class VescController:
         forward = min(settings.current_max_a, motor.plant.current_max_a)
         backward = min(settings.current_brake_max_a, motor.plant.current_max_a)
         self._limits_a = (-backward, forward)
-        per_inc = 360.0 / (self._inc * settings.position_divider)
-        kd = settings.position_kd * forward * per_inc
+        self._turn: Final = self._inc * settings.encoder_turns
+        self._span: Final = self._turn * settings.position_divider  # increments in 360 degrees
+        kd = settings.position_kd * forward * 360.0 / self._span
         plain = replace(
             motor.gains,
             velocity_ki_a_inc=0.0,
@@ -217,7 +221,7 @@ class VescController:
         self._is_on = True
         self._now_ns = self._start_ns = now_ns
         self._power_on = self._last = self._axis.count()
-        self._zero = self._power_on // self._inc * self._inc  # the encoder knows one turn
+        self._zero = self._power_on // self._turn * self._turn
         self._travelled = self._fault = 0
         self._timed_out = False
         self._angle_offset = 0.0
@@ -314,8 +318,8 @@ class VescController:
         return max(self._axis.dc_link_v(), 1e-3)
 
     def _degrees(self) -> float:
-        turns = (self._axis.count() - self._zero) / self._inc
-        return (360.0 * turns / self._settings.position_divider - self._angle_offset) % 360.0
+        spans = (self._axis.count() - self._zero) / self._span
+        return (360.0 * spans - self._angle_offset) % 360.0
 
     def _tachometer(self, increments: int) -> int:
         return 6 * self._settings.pole_pairs * increments // self._inc
@@ -543,8 +547,7 @@ class VescController:
         """Turn to this angle the shorter way round [degrees]."""
         self._enter(Mode.POSITION)
         way = (degrees - self._degrees() + 180.0) % 360.0 - 180.0
-        turns = way / 360.0 * self._settings.position_divider
-        self._axis.follow(self._axis.position_inc() + round(turns * self._inc), 0)
+        self._axis.follow(self._axis.position_inc() + round(way / 360.0 * self._span), 0)
 
     def speed(self, erpm: float) -> None:
         """Ramp to this speed [ERPM]."""
