@@ -12,7 +12,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import tau
+from math import copysign, tau
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.rmd.hardware import (
@@ -62,7 +62,8 @@ class RmdTable(RmdOptions):
 class RmdMotor(StreamedMotor[RmdHwMotor]):
     """A logical motor on an RMD; several of them may share one hardware object.
 
-    The drive's angles are those of its output, behind its own gear.
+    The drive's angles are those of its output, behind its own gear; of the model's gear ratio only
+    the sign counts, for the direction.
 
     Args:
         hardware: the drive.
@@ -84,7 +85,8 @@ class RmdMotor(StreamedMotor[RmdHwMotor]):
     ) -> None:
         if model.kind is not MotionKind.ROTARY:
             raise UsageError(f"motor model {model.name}: kind is linear; expected rotary")
-        super().__init__(hardware, model, _DEGREES, name=name, on_close=on_close)
+        units = copysign(_DEGREES, model.gear_ratio or 1.0)
+        super().__init__(hardware, model, units, name=name, on_close=on_close)
 
     def _latest(self) -> Measurement | None:
         hardware, last = self.hardware, self.hardware.estimate
@@ -93,7 +95,7 @@ class RmdMotor(StreamedMotor[RmdHwMotor]):
         state = MotorState.ENABLED if hardware.mode else MotorState.DISABLED
         if hardware.fault is not None:
             state = MotorState.FAULT
-        return Measurement(last.time_ns, state, last.angle / _DEGREES, last.speed / _DEGREES)
+        return Measurement(last.time_ns, state, last.angle / self._units, last.speed / self._units)
 
     def _enable(self) -> None:
         hardware = self.hardware
