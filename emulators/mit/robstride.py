@@ -48,6 +48,7 @@ class RobstrideDrive(MitDrive):
         super().__init__(table, ROBSTRIDES[table.model], stream)
         plant = table.motor(stream).plant
         self._inc = plant.gear_ratio * plant.increments_per_rad()
+        self._host = 0xFD  # the last one that told its number; a command does not
         self._values: dict[int, float] = {
             **dict.fromkeys((RUN_MODE, IQ_REF, SPD_REF, LOC_REF), 0.0),
             **{LIMIT_SPD: 2.0, LIMIT_CUR: plant.current_max_a, LIMIT_TORQUE: self.ranges.t},
@@ -73,7 +74,9 @@ class RobstrideDrive(MitDrive):
             self.revision += 1
             self.send(self.node_id << 8 | 0xFE, _SERIAL)
         elif kind in (MOTION, ENABLE, STOP, ZERO, WRITE):
-            self._feedback(area & 0xFF)
+            if kind != MOTION:
+                self._host = area & 0xFF
+            self._feedback()
             self._obey(kind, area, data)
         else:
             self.note("warning", f"frames of type {kind} are not emulated")
@@ -98,14 +101,14 @@ class RobstrideDrive(MitDrive):
         elif kind == WRITE:
             self._write(data)
 
-    def _feedback(self, host: int) -> None:
+    def _feedback(self) -> None:
         r = self.ranges
         limits = (r.p, r.v, r.t)
         pairs = zip(self.measured(), limits, strict=True)
         codes = [min(max(to_code(value, limit, 16), 0), 0xFFFF) for value, limit in pairs]
         decidegrees = min(max(round(10.0 * self.temperatures_c()[1]), 0), 0xFFFF)
         mode = _RUN if self.is_on else 0
-        can_id = FEEDBACK << 24 | mode << 22 | self.fault << 16 | self.node_id << 8 | host
+        can_id = FEEDBACK << 24 | mode << 22 | self.fault << 16 | self.node_id << 8 | self._host
         self.send(can_id, _FOUR.pack(*codes, decidegrees))
 
     # --- parameters --------------------------------------------------------------------------

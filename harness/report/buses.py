@@ -103,7 +103,7 @@ class Traffic:
 
     Attributes:
         name: name of the bus or line.
-        kind: "CAN", "Modbus RTU" or "Modbus/TCP".
+        kind: "CAN", "Modbus RTU", "Modbus/TCP" or "serial line".
         unit: unit of `weights`: "bit" or "ns".
         capacity_s: capacity per second in that unit; None: unknown, so no load in per cent.
         why_no_capacity: the reason if it is None.
@@ -243,6 +243,42 @@ class ModbusLine:
         rank = unit << 16 | function << 1 | (not to_server)
         what = _FUNCTIONS.get(function, f"function {function:02X}h")
         return self.traffic.label(f"unit {unit} {function:02X}h {way}", rank, what)
+
+
+@final
+class SerialLine:
+    """Collector of the packets of one line of another protocol.
+
+    Attributes:
+        traffic: the load, in ns of occupation, by sender and message.
+    """
+
+    def __init__(self, name: str, incidents: Incidents, describe: Describe | None) -> None:
+        """Set up the collector; events go to `incidents`; `describe` names messages."""
+        self.traffic: Traffic = Traffic(name, "serial line", "ns", _NS)
+        self._name = name
+        self._incidents = incidents
+        self._describe = describe
+        self._labels: dict[str, int] = {}
+
+    def take(self, time_ns: int, fields: dict[str, Value], begin_ns: int) -> None:
+        """Take recorded bytes; `time_ns` counts from `begin_ns`, unlike the times in the fields."""
+        data, start_ns, end_ns = (fields.get(key, 0) for key in ("data", "start_ns", "end_ns"))
+        assert isinstance(start_ns, int)
+        assert isinstance(end_ns, int)
+        data = data if isinstance(data, bytes) else b""
+        message = None if self._describe is None else self._describe(self._name, data)
+        sender = str(fields.get("sender", ""))
+        label = f"{sender} {'bytes' if message is None else message.name}"
+        if label not in self._labels:
+            self._labels[label] = self.traffic.label(label, len(self._labels))
+        self.traffic.add(end_ns - begin_ns, self._labels[label], end_ns - start_ns)
+        if fields.get("spoiled"):
+            text = f"a collision: {data.hex(' ').upper()}"
+            self._incidents.add(time_ns, Severity.WARNING, "collision", self._name, text)
+        elif message is not None and message.problem:
+            text = str(message)
+            self._incidents.add(time_ns, Severity.WARNING, "not decodable", self._name, text)
 
 
 @final

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, Traffic
+from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, SerialLine, Traffic
 from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import (
     FRAMES_MAX,
@@ -35,6 +35,7 @@ from motorhil.traces.schema import (
     LOG,
     MODBUS_ADU,
     MOTOR_LOCK,
+    SERIAL_DATA,
     DoublesDecoder,
     DoublesLayout,
     Level,
@@ -112,7 +113,7 @@ class Findings:
     locks: list[LockEvent] = field(default_factory=list)
     groups: list[GroupMoment] = field(default_factory=list)
     buses: dict[str, CanBus] = field(default_factory=dict)
-    lines: dict[str, ModbusLine] = field(default_factory=dict)
+    lines: dict[str, ModbusLine | SerialLine] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     stretch_ns: int = 0
 
@@ -348,6 +349,12 @@ class _Pass:
             return bus.take
         if schema.name == MODBUS_ADU.name:
             return lambda time_ns, payload: self._adu(name, time_ns, payload)
+        if schema.name == SERIAL_DATA.name:
+            serial = SerialLine(name, found.incidents, self._describe)
+            found.lines[name] = serial
+            return lambda time_ns, payload: serial.take(
+                time_ns, decode(SERIAL_DATA, payload), found.begin_ns
+            )
         if schema.name == JOINT_STATE.name:
             return self._state_handler(name)
         if schema.name == MOTOR_LOCK.name:

@@ -11,6 +11,7 @@ with time.
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, Final, final
 
+from motorhil.motorapi.api.bus_traffic import traffic_on
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError, UsageError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
@@ -27,7 +28,14 @@ from motorhil.motorapi.runtime.can_link import bus_label, open_link, release_lin
 from motorhil.motorapi.runtime.can_sources import BusStatus, pack
 from motorhil.motorapi.runtime.turn_lock import TurnLock
 from motorhil.motorapi.runtime.wall import runtime_of
-from motorhil.motorapi.synchronization.bus_load import NodeTraffic, PeriodicMessage, note_node
+from motorhil.motorapi.synchronization.bus_load import (
+    NodeTraffic,
+    PeriodicMessage,
+    note_node,
+    own_traffic,
+)
+from motorhil.motorapi.synchronization.offer import Firing, OneFrame, SyncOffer
+from motorhil.motorapi.synchronization.quality import SyncLevel
 
 if TYPE_CHECKING:
     import can
@@ -40,6 +48,8 @@ DataHandler = Callable[[bytes, int], None]
 """(data of the frame; empty for a remote frame, time when it was complete on the bus [ns])."""
 
 _EXTENDED: Final = 0x8000_0000
+_ID: Final = 0x1FFF_FFFF
+_BRS: Final = 1
 _REMOTE: Final = 0x4000_0000
 _DATA_AT: Final = 8
 _LOOKS: Final = 6  # per timeout of a sign of life
@@ -380,6 +390,35 @@ class CanDrive:
     ) -> None:
         """Declare periodic frames of the drive, and ours to it, for bounds of others on the bus."""
         note_node(self._bus, self._node, NodeTraffic(sent=sent, ours=ours))
+
+    def start_offer(self, can_id: int, length: int, *, flags: int | None = None) -> SyncOffer:
+        """Return the offer of a drive that a command of its own starts.
+
+        The skew to other drives is bounded as far as frames determine it: until the command was
+        received. The adaptation adds what it knows of the drive (`dataclasses.replace`).
+
+        Args:
+            can_id: the identifier of the command.
+            length: its data bytes.
+            flags: the flags of a CAN FD frame; None: a classical frame.
+        """
+        traffic, unbounded = traffic_on(self._link)
+        if any(one.sent_at_sync or one.ours_at_sync for one in own_traffic(self._bus)):
+            traffic, unbounded = None, "frames of other motors follow SYNC on the same bus"
+        frame = OneFrame(
+            *(can_id & _ID, length),
+            extended=bool((can_id | self._flag) & _EXTENDED),
+            fd=flags is not None,
+            bit_rate_switch=bool((flags or 0) & _BRS),
+        )
+        firing = None if traffic is None else Firing(self._link.name, traffic, (frame,), 0.0, 1)
+        return SyncOffer(
+            *(SyncLevel.SEQUENTIAL, self.label, None, "it is started by a command of its own"),
+            firing,
+            no_firing_bound=unbounded,
+            no_start_bound="the drive's own cycle is not known",
+            no_end_bound="the drive's own clock is not known",
+        )
 
     # --- what the drive was told ---------------------------------------------------------------
 

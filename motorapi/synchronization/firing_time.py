@@ -86,7 +86,7 @@ class _Bus:
         flows = [Flow.of(load, one) for one in load.messages]
         mates = {rank_of(can_id) for frame in frames for can_id in frame.mates}
         queued = [one for one in flows if one.rank in traffic.queued or one.rank in mates]
-        last = max(rank_of(frame.can_id) for frame in frames)
+        last = max(frame.rank for frame in frames)
         level = max([last, *(one.rank for one in queued)])
         self._before_ns = longest(8).time_ns(rate) + bits_ns(1, rate)
         # (message, number that may wait, cost of each [ns])
@@ -104,8 +104,7 @@ class _Bus:
                 self._counted.append((one, 0 if is_urgent else waiting, one.takes_ns))
         self.share = sum(cost_ns / one.message.period_ns for one, _, cost_ns in self._counted)
         self.fixed_ns = ahead_ns + sum(
-            longest(frame.length).time_ns(rate) + _lower_ns(flows, rank_of(frame.can_id))
-            for frame in frames
+            frame.longest_ns(traffic) + _lower_ns(flows, frame.rank) for frame in frames
         )
 
     @classmethod

@@ -10,7 +10,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Protocol, final
 
-from motorhil.motorapi.synchronization.bus_load import CanTraffic
+from motorhil.motorapi.synchronization.bus_load import CanTraffic, rank_of
+from motorhil.motorapi.synchronization.can_frame_length import longest
 from motorhil.motorapi.synchronization.quality import SyncLevel
 
 
@@ -31,15 +32,33 @@ class OneFrame:
     """A frame that is sent once.
 
     Attributes:
-        can_id: its identifier, 11 bits.
+        can_id: its identifier.
         length: data bytes.
         mates: identifiers that may precede it in the queue of its sender, if another node sends it:
             the TPDOs and the heartbeat of a node that answers an SDO.
+        extended: the identifier has 29 bits.
+        fd: a CAN FD frame.
+        bit_rate_switch: its data use the data bit rate of the bus.
     """
 
     can_id: int
     length: int
     mates: tuple[int, ...] = ()
+    extended: bool = False
+    fd: bool = False
+    bit_rate_switch: bool = False
+
+    @property
+    def rank(self) -> int:
+        """The priority: lower wins arbitration."""
+        return rank_of(self.can_id, extended=self.extended)
+
+    def longest_ns(self, traffic: CanTraffic) -> int:
+        """Return its duration on that bus with the most stuff bits [ns]."""
+        bits = longest(
+            self.length, extended=self.extended, fd=self.fd, switched=self.bit_rate_switch
+        )
+        return bits.time_ns(traffic.bitrate_bit_s, traffic.data_bitrate_bit_s)
 
 
 @final

@@ -19,6 +19,9 @@ from motorhil.emulators.cia401.node import IoNode
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.drive import build as build_drive
 from motorhil.emulators.controller import STUCK, Controller, ControllerContext
+from motorhil.emulators.dynamixel.packets import BROADCAST, HEADER, Instruction, packet
+from motorhil.emulators.dynamixel.servo import Servo
+from motorhil.emulators.dynamixel.servo import build as build_servo
 from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
 from motorhil.emulators.media.byte_pipe import BytePipe
 from motorhil.emulators.modbus.rtu import with_crc
@@ -53,6 +56,12 @@ _INPUTS: Final = (
     *(("fault", 0x2310), ("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", 0.0)),
     *(("supply_v", 24.0), ("supply_v", 5.0), ("power", 0.0), ("power", 1.0), ("encoder", 0.0)),
 )
+
+_ITEMS: Final = (  # addresses of a servo
+    *(0, 7, 8, 9, 10, 11, 12, 20, 24, 31, 36, 38, 44, 48, 52, 60, 63, 64, 64, 68, 98, 98, 100),
+    *(102, 104, 104, 108, 112, 116, 116, 122, 132, 168, 170, 208, 224, 9999),
+)
+_TO_ALL: Final = tuple(one for one in Instruction if one >= Instruction.SYNC_READ)
 
 
 @final
@@ -277,6 +286,63 @@ def attack_unit(build: Callable[[], Controller], addresses: list[int], seed: str
     return Done(EPISODE, bare.digest.digest(), reached)
 
 
+def instructions(dice: Random) -> Iterator[bytes]:
+    """Yield packets for a servo and for others, valid ones and invalid ones, and statuses."""
+    while True:
+        address = dice.choice(_ITEMS) + dice.choice((0, 0, 0, 1))
+        size = dice.choice((1, 1, 2, 4, 4, 4, 8, 80, 200))
+        value = dice.choice((*range(16), 255, 0x7FFF, 1 << 31, (1 << 32) - 1))
+        data = value.to_bytes(4, "little") * 64
+        place, length = address.to_bytes(2, "little"), size.to_bytes(2, "little")
+        units = bytes(dice.choice((UNIT, 2, 3, dice.randrange(256))) for _ in range(3))
+        bodies = {
+            Instruction.READ: place + length,
+            Instruction.WRITE: place + data[:size],
+            Instruction.REG_WRITE: place + data[:size],
+            Instruction.FACTORY_RESET: bytes((dice.choice((1, 2, 255, 3)),)),
+            Instruction.CLEAR: b"\x01DXL\x22",
+            Instruction.BACKUP: bytes((dice.choice((1, 2)),)) + b"CTRL",
+            Instruction.SYNC_READ: place + length + units,
+            Instruction.FAST_SYNC_READ: place + length + units,
+            Instruction.SYNC_WRITE: place + b"\4\0" + units[:1] + data[:4] + units[1:2] + data[:4],
+            Instruction.BULK_READ: b"".join(bytes((one,)) + place + length for one in units),
+            Instruction.FAST_BULK_READ: b"".join(bytes((one,)) + place + length for one in units),
+            Instruction.BULK_WRITE: units[:1] + place + length + data[:size],
+        }
+        code = dice.choice(tuple(Instruction)) if dice.random() < 0.9 else dice.choice((0x55, 0x42))
+        unit = BROADCAST if code in _TO_ALL else dice.choice((UNIT, UNIT, UNIT, BROADCAST, 2))
+        yield packet(unit, code, bodies.get(code, b"" if dice.random() < 0.9 else data[:size]))
+
+
+def attack_servo(seed: str) -> Done:
+    """Send bytes of Dynamixel's protocol, split anywhere, to a servo; then ping it."""
+    dice = Random(seed)
+    servo = build_servo({"unit": UNIT, "boot_up_s": 0.01}, _context())
+    bare = Bare(servo)
+    bare.run(20 * MS)
+    packets = instructions(dice)
+    for _ in range(EPISODE):
+        bare.run(dice.choice(_PAUSES_NS))
+        if dice.random() < 0.01:
+            bare.stimulate(*dice.choice((*_INPUTS, ("hardware_error", 32), ("temperature_c", 99))))
+        data = damaged(dice, next(packets))
+        cut = dice.randrange(len(data) + 1) if dice.random() < 0.1 else len(data)
+        for part in (data[:cut], data[cut:]):
+            if part:
+                bare.tell(part)
+    reached = Counter(answers=len(bare.sent))
+    reached.update("refusals" for one in bare.sent if one[:4] == HEADER and one[8] & 0x7F)
+    bare.stimulate("power", 0.0)
+    bare.stimulate("power", 1.0)
+    bare.run(2_000 * MS)
+    bare.sent.clear()
+    assert isinstance(servo, Servo)
+    bare.tell(packet(servo.memory["id"], Instruction.PING))
+    bare.run(REPLY_BY_NS)
+    assert len(bare.sent) == 1, f"a ping has {len(bare.sent)} answers"
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
 def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: str) -> Done:
     """Send bytes of Modbus/TCP, split anywhere, to a unit; then read one of its registers."""
     dice = Random(seed)
@@ -366,6 +432,7 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         made = partial(build, {"unit": UNIT}, _context())
         kinds[name] = partial(attack_unit, made, _addresses(build))
         kinds[f"{name} on TCP"] = partial(attack_gateway, made, _addresses(build))
+    kinds["dynamixel"] = attack_servo
     unit = partial(_recorded, "leadshine.mcap", unit=UNIT)
     kinds["recorded unit"] = partial(attack_unit, unit, _addresses(build_leadshine))
     return kinds

@@ -26,7 +26,14 @@ _POLLED = frozenset(
         *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
     }
 )
-_STREAMED = frozenset(  # by the host, along trapezoids and ramps of position, velocity, current
+_STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switch of the supply
+    {
+        *("SET-07", "TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),
+        *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
+        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", *_OF_CANOPEN),
+    }
+)
+_SAMPLED = frozenset(  # by the host, along trapezoids and ramps of position, velocity, current
     {
         *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LIM-05", "LEAD-01", "LEAD-02"),
         *(f"TRAJ-{number:02}" for number in (4, 6, 7, 9, 10, 11, 12)),
@@ -56,6 +63,7 @@ NOT_APPLICABLE = {
         }
     ),
     "leadshine": _POLLED,
+    "mit": _STREAMED,
     "moteus": frozenset(
         {
             *("SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04", "STOP-05", "STOP-09"),
@@ -67,9 +75,10 @@ NOT_APPLICABLE = {
         }
     ),
     "oriental_az": _POLLED,
-    "rmd": _STREAMED,
+    "rmd": _SAMPLED,
+    "robstride": _STREAMED,
     "software": frozenset({"HEAR-05", "LOW-04", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}),
-    "vesc": _STREAMED,
+    "vesc": _SAMPLED,
 }
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.canopen.bus import open_bus, release_bus
-from motorhil.motorapi.adaptations.canopen.bus_load import traffic_on
+from motorhil.motorapi.api.bus_traffic import traffic_on
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.group import MotorGroup

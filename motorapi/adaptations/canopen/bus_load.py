@@ -1,18 +1,12 @@
 """Known traffic on a link's bus, and the delay of SYNC."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from motorhil.motorapi.locking.process_lock import can_share_time
 from motorhil.motorapi.synchronization.bus_load import (
     SYNC_ID,
     CanTraffic,
-    PeriodicMessage,
-    declared_traffic,
-    own_traffic,
-    streams,
 )
-from motorhil.motorapi.synchronization.firing_time import longest_s, overload_of
+from motorhil.motorapi.synchronization.firing_time import longest_s
 from motorhil.motorapi.synchronization.offer import Firing, OneFrame
 
 if TYPE_CHECKING:
@@ -21,34 +15,6 @@ if TYPE_CHECKING:
 
 SYNC: Final = OneFrame(SYNC_ID, 0)
 FULL: Final = "more urgent or already queued frames may delay SYNC without limit"
-
-
-def traffic_on(
-    link: "CanLink",
-    sync_period_s: float | None = None,
-    streamed: Sequence[PeriodicMessage] = (),
-) -> tuple[CanTraffic | None, str]:
-    """Return all frames that may be sent on a bus, or None and the reason why they are unknown.
-
-    Args:
-        link: the link of the bus.
-        sync_period_s: the period of a SYNC that runs or is about to [s], or None.
-        streamed: set-points that are about to be sent.
-    """
-    if can_share_time(link.runtime):
-        return None, "on the wall clock the delays of this program have no bound"
-    declared = declared_traffic(link.bus)
-    if declared is None:
-        return None, f"the other traffic on {link.name} is not declared (declare_traffic)"
-    own = own_traffic(link.bus)
-    unknown = next((one.unknown for one in own if one.unknown), "")
-    if unknown:
-        return None, f"the traffic on {link.name} has no bound: {unknown}"
-    traffic = declared.with_own(own, sync_period_s, (*streams(link.bus), *streamed))
-    overload = overload_of(traffic)
-    if overload:
-        return None, f"{link.name} is too full: {overload}"
-    return traffic, ""
 
 
 def sync_period(sync: "BusSync") -> tuple[float | None, str]:

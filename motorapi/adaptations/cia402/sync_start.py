@@ -20,7 +20,6 @@ from motorhil.motorapi.adaptations.canopen.bus_load import (
     SYNC,
     period_on_wire_s,
     sync_period,
-    traffic_on,
 )
 from motorhil.motorapi.adaptations.canopen.sdo import REQUEST_ID, RESPONSE_ID
 from motorhil.motorapi.adaptations.cia402.bringup import DriveFacts
@@ -28,6 +27,7 @@ from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.csp import CspStream, StreamedMotion
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.objects import ENABLE_OPERATION, HALT
+from motorhil.motorapi.api.bus_traffic import traffic_on
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import LinkError
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage

@@ -26,12 +26,13 @@ from functools import partial
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.canopen.bus_load import FULL, SYNC, period_on_wire_s, traffic_on
+from motorhil.motorapi.adaptations.canopen.bus_load import FULL, SYNC, period_on_wire_s
 from motorhil.motorapi.adaptations.host_servo.cycle import CycleReport
 from motorhil.motorapi.adaptations.host_servo.demand import Scales, course_of
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.host_servo.servo import ServoLimits
 from motorhil.motorapi.adaptations.host_servo.settings import HostServoTable, IoOptions, PidGains
+from motorhil.motorapi.api.bus_traffic import traffic_on
 from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint, as_number
 from motorhil.motorapi.errors import UnsupportedError, UsageError

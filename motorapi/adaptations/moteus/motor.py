@@ -27,6 +27,7 @@ from motorhil.motorapi.api import (
     Motion,
     MotionInterrupted,
     MotionKind,
+    MotionTimes,
     Motor,
     MotorBusyError,
     MotorModel,
@@ -36,6 +37,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     Shared,
+    SyncOffer,
     UnsupportedError,
     UsageError,
     adaptation,
@@ -141,6 +143,7 @@ class MoteusHwMotor:
     Attributes:
         drive: its connection.
         status: the last reply, or None.
+        started_ns, ended_ns: when the last motion began and ended [ns]; None: not known.
         users: the number of motors built on it from settings; the last one closes it.
     """
 
@@ -157,6 +160,8 @@ class MoteusHwMotor:
         self.status: Status | None = None
         self.users = 0
         self.is_over = True  # the last command
+        self.started_ns: int | None = None
+        self.ended_ns: int | None = None
         self._register_map: int | None = None
         self._fault_since_ns = 0
         self._fed: tuple[float, float, float] | None = None  # the motion that goes on
@@ -229,7 +234,12 @@ class MoteusHwMotor:
         self._fed = (target, velocity, acceleration)
         self._follow(target, window, self.drive.command, self._packed(*self._fed))
         assert self._sent is not None  # by _follow
-        self.drive.confirm(self._sent)
+        self.started_ns, self.ended_ns = self.drive.confirm(self._sent), None
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the command of a motion."""
+        length = len(_padded(self._packed(0.0, 0.0, 0.0) + _QUERY))
+        return self.drive.start_offer(self.node_id | _REPLY | _EXTENDED, length, flags=_BRS)
 
     def brake(self, deceleration: float, window: float) -> None:
         """Slow down, then hold; needs no ownership."""
@@ -298,6 +308,7 @@ class MoteusHwMotor:
                     self._tell(self.drive.command, _packed(*fed, nan))
                     if self._fed is fed:
                         self._fed, self.is_over = None, True
+                        self.ended_ns = self.drive.runtime.now_ns()
                         self.drive.news.grow()
                 else:
                     self._tell(self.drive.command, self._packed(*fed))
@@ -435,6 +446,14 @@ class MoteusMotor(Motor):
         self._hardware.brake(size * abs(self._rev), self._window)
 
     # --- capabilities
+
+    def _sync_offer(self) -> SyncOffer:
+        return self._hardware.start_offer()
+
+    def _motion_times(self) -> MotionTimes | None:
+        started_ns, ended_ns = self._hardware.started_ns, self._hardware.ended_ns
+        source = "its command on the wire; trajectory complete in a reply"
+        return MotionTimes(started_ns, ended_ns, source, latched_ns=started_ns)
 
     def _quantise(self, motion: Motion) -> Motion:
         """Return the motion with the one acceleration that a moteus has for both ramps."""

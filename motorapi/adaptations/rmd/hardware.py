@@ -30,6 +30,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     StreamedMotion,
+    SyncOffer,
     checked_node,
     number,
 )
@@ -281,6 +282,10 @@ class RmdHwMotor:
         """Forget what the drive was told: another program commands it, or it was lost."""
         self.motions.forget()
         self.drive.doubt()
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point."""
+        return self.drive.start_offer(_REQUEST + self.node_id, 8)
 
     def measured(self) -> tuple[float, float]:
         """Return angle and speed now [deg, deg/s], extrapolated to the present."""

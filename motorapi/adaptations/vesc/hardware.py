@@ -35,6 +35,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     StreamedMotion,
+    SyncOffer,
     UsageError,
     checked_node,
     number,
@@ -283,6 +284,10 @@ class VescHwMotor:
     ) -> SentFrame:
         """Send a set-point in turns, turns/s or A."""
         return self.tell(MODES[variable], value, fence)
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point; all of them have 4 bytes."""
+        return self.drive.start_offer(Mode.POSITION << 8 | self.node_id, _VALUE.size)
 
     def measured(self) -> tuple[float, float]:
         """Return position and velocity now [turns, turns/s], extrapolated to the present."""

@@ -98,10 +98,10 @@ def motor(tmp_path, monkeypatch, capsys):
     assert "rror" not in capsys.readouterr().out
 
 
-def stream(client, seconds, *command):
+def stream(rig, client, seconds, *command):
     """Repeat a command every 5 ms; return the last answer."""
     for _ in range(round(seconds / 0.005)):
-        canmotorlib.time.sleep(0.005)
+        rig.runtime.run_for(0.005)
         told = client.send_rad_command(*command)
     return told
 
@@ -125,7 +125,7 @@ def test_client_tables_and_emulated_models_agree():
 def test_client_moves_an_emulated_motor_to_its_target(motor, kind):
     rig, client = motor(kind)
     client.enable_motor()
-    stream(client, 2.0, 0.8, 0.0, 20.0, 2.0, 0.0)
+    stream(rig, client, 2.0, 0.8, 0.0, 20.0, 2.0, 0.0)
     p, v, _ = client.send_rad_command(0.8, 0.0, 20.0, 2.0, 0.0)
     sign = client.motorParams["AXIS_DIRECTION"]
     step = 2 * client.motorParams["P_MAX"] / 65535
@@ -139,21 +139,21 @@ def test_client_reads_the_torque_that_a_load_needs(motor):
     rig, client = motor()
     client.enable_motor()
     rig.controllers["joint"].stimulate("load_torque_n_m", 3.0)
-    _, _, torque = stream(client, 2.0, 0.0, 0.0, 50.0, 3.0, 0.0)
+    _, _, torque = stream(rig, client, 2.0, 0.0, 0.0, 50.0, 3.0, 0.0)
     assert torque == pytest.approx(3.0, abs=0.264 + 24 / 4095)  # friction holds a part
 
 
 def test_client_turns_at_a_velocity_without_stiffness(motor):
-    _, client = motor("AK80_9_V2")
+    rig, client = motor("AK80_9_V2")
     client.enable_motor()
-    _, v, _ = stream(client, 2.0, 0.0, 2.0, 0.0, 5.0, 0.0)
+    _, v, _ = stream(rig, client, 2.0, 0.0, 2.0, 0.0, 5.0, 0.0)
     assert v == pytest.approx(2.0, abs=0.264 / 5.0 + 0.02)
 
 
 def test_client_disables_and_sets_zero(motor):
     rig, client = motor()
     client.enable_motor()
-    stream(client, 1.0, 0.5, 0.0, 30.0, 2.0, 0.0)
+    stream(rig, client, 1.0, 0.5, 0.0, 30.0, 2.0, 0.0)
     client.disable_motor()
     assert rig.controllers["joint"].snapshot()["is_on"] == 0.0
     assert client.set_zero_position()[0] == pytest.approx(0.5, abs=0.02)  # before it acted
@@ -165,6 +165,6 @@ def test_client_with_a_wrong_table_scales_velocity(motor):
     """Both tables are those of an AK80-9 in different libraries: 25.64 and 50 rad/s."""
     rig, client = motor("AK80_9_V2", more="v_max_rad_s = 50.0\n")
     client.enable_motor()
-    _, v, _ = stream(client, 2.0, 0.0, 1.0, 0.0, 5.0, 0.0)
+    _, v, _ = stream(rig, client, 2.0, 0.0, 1.0, 0.0, 5.0, 0.0)
     truth = rig.controllers["joint"].snapshot()["velocity_rad_s"]
     assert truth / v == pytest.approx(50.0 / 25.64, rel=0.03)

@@ -6,11 +6,13 @@ import resource
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from motorhil.__main__ import ALLOCATIONS, start
+from tests.support.checkout import CHECKOUT
 from tests.support.command_line import environment, in_another_process
 from tests.support.plugin_rigs import GOOD
 
@@ -263,8 +265,8 @@ def test_list_prints_plugins_and_own_eds_files(bench, say):
     status, out, _ = say("list", "controllers")
     assert status == 0
     lines = {line.split()[0]: line for line in out.splitlines()}
-    own = ["cia401", "cia402", "dynamixel", "leadshine_pr", "mit", "moteus", "oriental_az"]
-    own += ["recorded", "rmd", "robstride", "vesc"]
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+    own = project["entry-points"]["motorhil.controllers"]
     assert list(lines) == sorted([*own, "broken", "echo"])
     assert "bench 1.0" in lines["echo"]
     eds = Path(lines["cia402"].split()[-1])

@@ -41,6 +41,24 @@ def test_frames_alone_on_the_bus_take_their_length():
     assert longest_s([]) == 0.0
 
 
+def test_long_identifier_and_fd_frames_take_their_own_length():
+    quiet = CanTraffic(1_000_000, data_bitrate_bit_s=5_000_000)
+    extended = OneFrame(0x8001, 8, extended=True)
+    assert longest_s([Firing("b", quiet, (extended,))]) == pytest.approx(160e-6)  # Davis et al.
+    fd = OneFrame(0x8001, 48, extended=True, fd=True, bit_rate_switch=True)
+    expected = longest(48, extended=True, fd=True, switched=True).time_ns(1_000_000, 5_000_000)
+    assert longest_s([Firing("b", quiet, (fd,))]) == pytest.approx(expected / 1e9)
+
+
+def test_identifier_of_29_bits_yields_to_one_of_11_bits():
+    busy = CanTraffic(1_000_000, (PeriodicMessage(0x400, 8, 1.0),))
+    long = OneFrame(0x100 << 18, 2, extended=True)
+    urgent = longest_s([Firing("b", busy, (long,))])
+    late = longest_s([Firing("b", busy, (replace(long, can_id=0x401 << 18),))])
+    alone = longest_s([Firing("b", CanTraffic(1_000_000), (long,))])
+    assert urgent == late == pytest.approx(alone + 135e-6)  # it waits for it in either case
+
+
 def test_each_frame_waits_for_one_of_lower_priority():
     busy = CanTraffic(1_000_000, (PeriodicMessage(0x400, 8, 1.0),))
     assert longest_s([_firing(0x201, busy)]) == pytest.approx((75 + 135) * 1e-6)

@@ -1,0 +1,409 @@
+"""The hardware class of a drive with impedance control, in its own units: rad, N m at the output.
+
+The drive has no profile generator and tells its state only in answers to commands. While this
+program controls the motor, it repeats a command every period: a motion, a stop, or a position to
+hold. Otherwise it sends a command to be limp, which only reads, and this only if no answer to
+another program was heard for a while.
+
+The state "on" is in the answers of Damiao and RobStride. Other drives do not tell it: it follows
+from the requests on the bus. A drive that nobody has switched on counts as off.
+"""
+
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.motorapi.adaptations.mit.frames import Answer, Command, Frames, Maker, Ranges, Special
+from motorhil.motorapi.api import (
+    CanDrive,
+    LinkError,
+    Options,
+    PeerError,
+    PeriodicMessage,
+    SentFrame,
+    SetpointStream,
+    SyncOffer,
+    number,
+)
+
+if TYPE_CHECKING:
+    import can
+
+    from motorhil.motorapi.api import BoundFence, Runtime
+
+Plan = Callable[[float], Command]
+"""The command over the time since the start [s]; constant at its end."""
+
+LIMP: Final = Command()
+_PARAMETERS: Final = 0x7FF
+_READ: Final = 0x33
+_P_MAX: Final = 21  # parameters of Damiao; the next two are those of velocity and torque
+FOLLOWING_ERROR: Final = 0xFF
+"""The code of the fault that this class notices, not the drive."""
+_ANSWER_S: Final = 0.2
+_AGAIN_S: Final = 0.02
+_FLIGHT_S: Final = 0.001  # in which the answers to earlier requests come
+_WAY_RAD: Final = 0.5
+_RATIO: Final = (0.8, 1.25)
+
+
+def _range(unit: str, of: str) -> Any:
+    return number(None, 0, unit=unit, doc=f"Range of {of}; absent: the model's.", above=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MitOptions(Options):
+    """The options of a hardware object; in a rig, keys of the motor's table."""
+
+    kp_n_m_rad: float = number(50.0, 0, unit="N·m/rad", doc="Stiffness.", above=True)
+    kd_n_m_s_rad: float = number(2.0, 0, unit="N·m·s/rad", doc="Damping.", above=True)
+    inertia_kg_m2: float = number(0.0, 0, unit="kg·m²", doc="Inertia at the output, fed forward.")
+    friction_n_m: float = number(0.0, 0, unit="N·m", doc="Friction at the output, fed forward.")
+    period_ms: float = number(5.0, 0, unit="ms", doc="Period of commands.", above=True)
+    following_error_rad: float = number(
+        0.2, 0, unit="rad", doc="Deviation from the demand at which it is switched off.", above=True
+    )
+    quiet_ms: float = number(
+        20.0, 0, unit="ms", doc="Time without an answer after which a reader asks.", above=True
+    )
+    timeout_ms: float = number(
+        100.0, 0, unit="ms", doc="Time without an answer after which it is lost.", above=True
+    )
+    connect_timeout_s: float = number(
+        2.0, 0, unit="s", doc="Time for its first answer.", above=True
+    )
+    p_max_rad: float | None = _range("rad", "positions, either way")
+    v_max_rad_s: float | None = _range("rad/s", "velocities, either way")
+    t_max_n_m: float | None = _range("N·m", "torques, either way")
+    kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness")
+    kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping")
+
+    def ranges(self, model: Ranges) -> Ranges:
+        """Return the ranges: the model's, or those given."""
+        own = (self.p_max_rad, self.v_max_rad_s, self.t_max_n_m)
+        pairs = zip((*own, self.kp_max_n_m_rad, self.kd_max_n_m_s_rad), model, strict=True)
+        return Ranges(*(known if given is None else given for given, known in pairs))
+
+
+@final
+class MitHwMotor:
+    """One drive on a CAN bus; shared by all logical motors and threads.
+
+    Attributes:
+        drive: its connection.
+        frames: its frames, with the ranges.
+        answer, time_ns: the last answer, and when it was complete on the bus; None: none yet.
+        is_on: whether the motor has current, as far as known.
+        plan: what this program repeats; None: another program, or nobody, controls the motor.
+        started_ns: when the first command of the last motion was on the bus [ns]; None: not known.
+        behind: the demand minus the last position [rad]; None: no position is demanded.
+        fault: the code of the fault, of the drive or `FOLLOWING_ERROR`; 0: none.
+        mismatch: why the ranges are wrong; "": nothing says so.
+        is_zeroed: whether the zero was set since the drive was first heard.
+        users: the number of motors built on it from settings; the last one closes it.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC",
+        frames: Frames,
+        *,
+        runtime: "Runtime | None" = None,
+        options: MitOptions | None = None,
+    ) -> None:
+        self.frames: Final = frames
+        self.options: Final = MitOptions() if options is None else options
+        self.answer: Answer | None = None
+        self.time_ns = self.fault_ns = self.fault = 0
+        self.behind: float | None = None
+        self.is_on = self.is_zeroed = False
+        self.plan: Plan | None = None
+        self.mismatch = ""
+        self.users = 0
+        self.started_ns: int | None = None
+        self._stream: SetpointStream | None = None
+        self._last: SentFrame | None = None
+        self._is_asking = self._is_checked = False
+        self._began_ns = self._deaf_ns = self._polled_ns = 0
+        self._moved = self._summed = 0.0
+        self._others: set[str] = set()
+        self._parameters: dict[int, float] = {}
+        self._awaited: bytes | None = None  # the beginning of the answer to a reading
+        self.drive: Final = CanDrive(
+            bus, frames.node_id, self, runtime=runtime, extended=frames.flag
+        )
+        self.label: Final = self.drive.label
+        self._life: Final = self.drive.expect("answer", self.options.timeout_ms / 1e3, self._lose)
+        for can_id in frames.answers():
+            self.drive.handle(can_id, partial(self._on_answer, can_id))
+        for can_id in frames.requests():
+            self.drive.handle(can_id, partial(self._on_request, can_id))
+        self.drive.every(self.options.period_ms / 1e3, self._beat)
+
+    @property
+    def is_closed(self) -> bool:
+        """True after `close`."""
+        return self.drive.is_closed
+
+    def close(self) -> None:
+        """Stop sending and receiving; the drive's own watchdog, if any, makes the motor limp."""
+        self.drive.close(at_rest=self._stream is None or not self._stream.is_going)
+        self._end_stream()
+
+    def connect(self) -> None:
+        """Wait until the drive is heard, and check its ranges as far as it tells them.
+
+        Raises:
+            LinkError: it is not heard, or this object is closed, or the bus is off.
+            PeerError: its ranges are others than those of the model.
+        """
+        if self.is_up() and self._is_checked:
+            return
+        options, frames = self.options, self.frames
+        lacks = f"answer of motor {frames.node_id} on identifier {frames.master_id:X}h"
+        try:
+            self.drive.connect(self.is_up, self._ask, options.connect_timeout_s, lacks)
+        except LinkError as error:
+            if not self._others:
+                raise
+            heard = ", ".join(sorted(self._others))
+            text = f"no {lacks}; heard there: {heard}; check node_id, master_id and drive"
+            raise LinkError(link=self.label, reason=text) from error
+        if frames.maker is Maker.DAMIAO:
+            self._check_ranges()
+        self._is_checked = True
+        period_s = options.period_ms / 1e3
+        can_id, data = frames.command(LIMP)
+        answer_id = next(iter(frames.answers()))
+        self.drive.note_traffic(
+            (PeriodicMessage(answer_id, 8, period_s, extended=frames.flag),),
+            (PeriodicMessage(can_id, len(data), period_s, extended=frames.flag),),
+        )
+
+    def is_up(self) -> bool:
+        """Return whether the drive was heard, and is not lost."""
+        return self.answer is not None and not self.drive.is_lost
+
+    # --- commands ----------------------------------------------------------------------------
+
+    def follow(self, plan: Plan, duration_s: float) -> None:
+        """Execute a motion, and repeat its last command; return when it has begun.
+
+        Raises as `CanDrive.command` and `CanDrive.confirm`.
+        """
+        self._end_stream()
+        self._set(plan)
+        self._moved = self._summed = 0.0
+        self.started_ns, self._last = None, None
+
+        def send(at_s: float, fence: "BoundFence | None" = None) -> SentFrame:
+            return self.drive.command(*self.frames.command(plan(at_s)), fence=fence)
+
+        self._stream = SetpointStream(
+            *(self.drive, float, duration_s, self.options.period_ms / 1e3, send),
+            self._note_last,
+        )
+        self.started_ns = self.drive.confirm(self._stream.begin())
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first command of a motion."""
+        can_id, data = self.frames.command(LIMP)
+        return self.drive.start_offer(can_id, len(data))
+
+    @property
+    def ended_ns(self) -> int | None:
+        """The time when the last command of the motion was complete on the bus, or None [ns]."""
+        return None if self._last is None else self._last.time_ns
+
+    def stop(self, plan: Plan) -> None:
+        """Execute a stop, whoever owns the motor."""
+        self._end_stream()
+        self._set(plan)
+        self.drive.stop_command(*self.frames.command(plan(0.0)))
+
+    @property
+    def is_held(self) -> bool:
+        """True if the motor has current, and commands of this program or another one."""
+        is_told = self.time_ns - self._polled_ns > self.options.quiet_ms * 1e6
+        return self.is_on and (self.plan is not None or is_told)
+
+    def present(self) -> Command:
+        """Return the command that is repeated now; LIMP: none."""
+        elapsed_s = (self.drive.runtime.now_ns() - self._began_ns) / 1e9
+        return LIMP if self.plan is None else self.plan(elapsed_s)
+
+    def hold_here(self) -> None:
+        """Command the present position; without current, the drive executes it when enabled."""
+        assert self.answer is not None  # connected
+        options = self.options
+        held = Command(self.answer.p, 0.0, options.kp_n_m_rad, options.kd_n_m_s_rad)
+        self.drive.command(*self.frames.command(held))
+        self._set(lambda at_s: held)
+
+    def release(self) -> None:
+        """End all commands; the motor is limp."""
+        self._end_stream()
+        self.plan = None
+        self.drive.command(*self.frames.command(LIMP))
+
+    def tell(self, special: Special) -> SentFrame:
+        """Send a special request; raises as `CanDrive.command`."""
+        if special in (Special.ENTER, Special.LEAVE):
+            self.is_on = special is Special.ENTER  # a drive that tells corrects it
+        return self.drive.command(*self.frames.special(special))
+
+    def ask(self, special: Special, is_there: Callable[[], bool], awaited: str) -> None:
+        """Send a special request until an answer shows its effect.
+
+        Raises:
+            DeadlineExceeded: none did.
+        """
+        runtime = self.drive.runtime
+        self._is_asking = True  # no other request: each has an answer, which does not name it
+        try:
+            runtime.wait_until(lambda: False, _FLIGHT_S)
+            since_ns = runtime.now_ns()
+            self.drive.exchange(
+                lambda: self.tell(special),
+                lambda: self.time_ns > since_ns and is_there(),
+                *(_ANSWER_S, awaited, _AGAIN_S),
+            )
+        finally:
+            self._is_asking = False
+
+    def set_zero(self) -> None:
+        """Make the present position the zero, and wait until the drive answers again."""
+        self.tell(Special.ZERO)
+        runtime, zero_s = self.drive.runtime, self.frames.maker.zero_s
+        self._deaf_ns = runtime.now_ns() + round(zero_s * 1e9)
+        runtime.wait_until(lambda: False, zero_s)
+        since_ns = runtime.now_ns()
+        self.drive.exchange(
+            *(self._ask, lambda: self.time_ns > since_ns, _ANSWER_S, "an answer", _AGAIN_S)
+        )
+        self.is_zeroed = True
+
+    def check_stream(self) -> None:
+        """Raise the error that has ended the stream of a motion, if any."""
+        if self._stream is not None and self._stream.error is not None:
+            raise self._stream.error
+
+    # --- background --------------------------------------------------------------------------
+
+    def _set(self, plan: Plan) -> None:
+        self.plan, self._began_ns = plan, self.drive.runtime.now_ns()
+
+    def _note_last(self, sent: SentFrame) -> None:
+        self._last = sent
+
+    def _end_stream(self) -> None:
+        if self._stream is not None:
+            self._stream.cancel()
+            self._stream = None
+
+    def _ask(self) -> None:
+        if self.plan is None:
+            self._polled_ns = self.drive.runtime.now_ns()
+        self.drive.request(*self.frames.command(self.present()))
+
+    def _beat(self) -> None:
+        now_ns, stream = self.drive.runtime.now_ns(), self._stream
+        if now_ns < self._deaf_ns:
+            self._life.came(now_ns)
+        elif self.drive.status.is_off:
+            self._lose()
+        elif self._is_asking or (stream is not None and stream.is_going):
+            return
+        elif stream is not None and stream.error is not None:
+            self.plan = None  # another one has the motor
+        elif self.plan is not None or now_ns - self.time_ns >= self.options.quiet_ms * 1e6:
+            with suppress(LinkError):
+                self._ask()
+
+    def _on_answer(self, can_id: int, data: bytes, time_ns: int) -> None:
+        if self._awaited is not None and data[:4] == self._awaited and len(data) == 8:
+            self._parameters[data[3]], self._awaited = struct.unpack_from("<f", data, 4)[0], None
+            return
+        answer = self.frames.answer(can_id, data)
+        if isinstance(answer, str):
+            self._others.add(answer)
+            return
+        before, self.answer = self.answer, answer
+        elapsed_s = (time_ns - self.time_ns) / 1e9
+        self.time_ns = time_ns
+        if answer.is_on is not None:
+            self.is_on = answer.is_on
+        present = self.present()
+        self.behind = present.p - answer.p if present.kp else None
+        is_far = abs(self.behind or 0.0) > self.options.following_error_rad
+        if answer.fault or is_far or self.fault != FOLLOWING_ERROR:
+            self._set_fault(answer.fault or (FOLLOWING_ERROR if is_far else 0), time_ns)
+        r = self.frames.ranges  # codes are coarse near 0; at their ends they stand, or turn over
+        is_told = 0.01 < abs(answer.v) / r.v < 0.95 and abs(answer.p) < 0.95 * r.p
+        if before is not None and elapsed_s < 0.1 and is_told:
+            self._compare(before, answer, elapsed_s)
+        self._life.came(time_ns)
+
+    def _set_fault(self, code: int, time_ns: int) -> None:
+        """Note a fault, with which the motor has no current, or its end."""
+        if code and code != self.fault:
+            self.fault_ns = time_ns
+            self._end_stream()
+            self.plan, self.is_on = None, False
+            if code == FOLLOWING_ERROR:
+                with suppress(LinkError):
+                    self.drive.stop_command(*self.frames.special(Special.LEAVE))
+        self.fault = code
+
+    def _compare(self, before: Answer, answer: Answer, elapsed_s: float) -> None:
+        """Compare way and velocity: their ranges are wrong if they disagree."""
+        self._moved += answer.p - before.p
+        self._summed += 0.5 * (answer.v + before.v) * elapsed_s
+        low, high = _RATIO
+        if abs(self._moved) > _WAY_RAD and not low < self._summed / self._moved < high:
+            p, v = self.frames.ranges[:2]
+            self.mismatch = (
+                f"{self.label}: positions changed by {self._moved:.3g} rad, but velocities tell"
+                f" {self._summed:.3g} rad; the ranges +-{p:g} rad and +-{v:g} rad/s are not those"
+                " of the drive; set drive, p_max_rad or v_max_rad_s"
+            )
+
+    def _on_request(self, can_id: int, data: bytes, time_ns: int) -> None:
+        """Handle a request of another program."""
+        asked = self.frames.asked(can_id, data)
+        if asked in (Special.ENTER, Special.LEAVE):
+            self.is_on = asked is Special.ENTER
+        if asked:
+            self._end_stream()
+            self.plan = None
+            self.drive.overheard(f"request {data.hex()}", time_ns)
+
+    def _lose(self) -> None:
+        self._end_stream()
+        self.plan = None
+        self.is_on = self.is_zeroed = self._is_checked = False
+        self._parameters.clear()
+        self.drive.doubt()
+
+    def _check_ranges(self) -> None:
+        """Compare the ranges that a Damiao drive tells with those of the model."""
+        for one in range(_P_MAX, _P_MAX + 3):
+            if one not in self._parameters:
+                self._awaited = bytes((self.frames.node_id, 0, _READ, one))
+                self.drive.exchange(
+                    partial(self.drive.request, _PARAMETERS, self._awaited + bytes(4)),
+                    partial(self._parameters.__contains__, one),
+                    *(_ANSWER_S, f"parameter {one}", _AGAIN_S),
+                )
+        told = [self._parameters[one] for one in sorted(self._parameters)]
+        ours = self.frames.ranges[:3]
+        if any(abs(a - b) > 1e-3 * b for a, b in zip(told, ours, strict=True)):
+            texts = [", ".join(f"{one:g}" for one in values) for values in (told, ours)]
+            self._parameters.clear()
+            raise PeerError(
+                f"{self.label}: its ranges are {texts[0]} (rad, rad/s, N m); expected {texts[1]};"
+                " set drive, p_max_rad, v_max_rad_s or t_max_n_m"
+            )

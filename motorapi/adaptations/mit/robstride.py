@@ -1,0 +1,117 @@
+"""RobStride and CyberGear: their frames, and the builder of such a motor.
+
+Identifier: type (bits 28 to 24), 16 bits of data, target. The data of a command are p, v, kp and
+kd, its torque is in the identifier. Feedback has mode and faults in its identifier.
+
+Source: the client robstride 0.1.0.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import product
+from math import pi
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.motorapi.adaptations.mit.frames import (
+    Answer,
+    Command,
+    Frames,
+    Maker,
+    Ranges,
+    Special,
+    code_of,
+    value_of,
+)
+from motorhil.motorapi.adaptations.mit.hardware import MitOptions
+from motorhil.motorapi.adaptations.mit.motor import MitMotor, build_with
+from motorhil.motorapi.api import REQUIRED, adaptation, read_settings, text, whole, word
+
+if TYPE_CHECKING:
+    import can
+
+    from motorhil.motorapi.api import MotorModel, Runtime
+
+ROBSTRIDES: Final = {
+    "cybergear": Ranges(4 * pi, 30, 12),
+    "rs00": Ranges(4 * pi, 33, 14),
+    "rs01": Ranges(4 * pi, 44, 17),
+    "rs04": Ranges(4 * pi, 15, 120, 5000, 100),
+    "rs05": Ranges(4 * pi, 50, 5.5),
+}
+_COMMAND, _FEEDBACK = 1 << 24, 2 << 24
+_TYPES: Final = {Special.ENTER: 3, Special.LEAVE: 4, Special.CLEAR: 4, Special.ZERO: 6}
+_RUN: Final = 2
+
+
+@final
+class RobstrideFrames(Frames):
+    """The frames of one drive; `master_id` is the number of the host."""
+
+    flag = True
+
+    def command(self, command: Command) -> tuple[int, bytes]:
+        """Return the frame of a command."""
+        r = self.ranges
+        torque = code_of(command.t, -r.t, r.t, 16)
+        codes = (
+            *(code_of(command.p, -r.p, r.p, 16), code_of(command.v, -r.v, r.v, 16)),
+            *(code_of(command.kp, 0.0, r.kp, 16), code_of(command.kd, 0.0, r.kd, 16)),
+        )
+        data = b"".join(code.to_bytes(2, "big") for code in codes)
+        return _COMMAND | torque << 8 | self.node_id, data
+
+    def special(self, special: Special) -> tuple[int, bytes]:
+        """Return the frame of a special request."""
+        first = special in (Special.CLEAR, Special.ZERO)
+        return self._id(_TYPES[special], self.master_id), bytes((first, 0, 0, 0, 0, 0, 0, 0))
+
+    def answers(self) -> Iterable[int]:
+        """Return the identifiers of feedback: each mode, each set of faults."""
+        place = self.node_id << 8 | self.master_id
+        return (_FEEDBACK | m << 22 | f << 16 | place for m, f in product(range(3), range(64)))
+
+    def requests(self) -> Iterable[int]:
+        """Return the identifiers of requests of other hosts, except commands."""
+        return (self._id(kind, host) for kind, host in product((3, 4, 6), range(256)))
+
+    def answer(self, can_id: int, data: bytes) -> Answer | str:
+        """Return the answer in a frame; in words, if it has the wrong length."""
+        if len(data) != 8:
+            return f"an answer of {len(data)} bytes, not 8"
+        p, v, t = (int.from_bytes(data[at : at + 2], "big") for at in (0, 2, 4))
+        r, is_on = self.ranges, can_id >> 22 & 3 == _RUN
+        values = value_of(p, r.p, 16), value_of(v, r.v, 16), value_of(t, r.t, 16)
+        return Answer(*values, is_on, can_id >> 16 & 0x3F)
+
+    def asked(self, can_id: int, data: bytes) -> Special | bool:
+        """Return what a request asks for."""
+        return {3: Special.ENTER, 4: Special.LEAVE, 6: Special.ZERO}[can_id >> 24]
+
+    def _id(self, kind: int, host: int) -> int:
+        return kind << 24 | host << 8 | self.node_id
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobstrideTable(MitOptions):
+    """A motor behind a RobStride or CyberGear drive."""
+
+    node_id: int = whole(REQUIRED, 1, 127, "", "Number of the motor.", example="1")
+    drive: str = word("rs01", ROBSTRIDES, "model", "Its model, which determines the ranges.")
+    host_id: int = whole(0xFD, 0, 0xFF, "", "Number of this host.")
+    name: str | None = text(None, "Name of the motor; absent: the model's.")
+
+
+@adaptation(api=1)
+def build(
+    bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
+) -> MitMotor:
+    """Build the motor that a table of settings describes; motors on one drive share it.
+
+    Raises:
+        UsageError: a setting is unknown, missing, or wrong.
+    """
+    own = read_settings(RobstrideTable, settings)
+    ranges = own.ranges(ROBSTRIDES[own.drive])
+    frames = RobstrideFrames(own.node_id, own.host_id, Maker.ROBSTRIDE, ranges)
+    return build_with(bus, frames, own, model, runtime)
