@@ -25,6 +25,7 @@ from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
 from motorhil.motorapi.api.streamed_motion import StreamedMotion
+from motorhil.motorapi.api.streamed_motor import StreamedMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -107,6 +108,7 @@ __all__ = [
     "SignOfLife",
     "StateError",
     "StreamedMotion",
+    "StreamedMotor",
     "SyncLevel",
     "SyncOffer",
     "Trajectory",
