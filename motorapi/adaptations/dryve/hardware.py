@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.dryve.telegrams import (
     ABSENT,
+    ILLEGAL_VALUE,
     DryveCodec,
     DryveException,
     Request,
@@ -41,6 +42,7 @@ from motorhil.motorapi.api import (
     Poll,
     PolledHardware,
     StateError,
+    UnsupportedError,
 )
 
 if TYPE_CHECKING:
@@ -94,7 +96,7 @@ class DryveUnit(LineUnit[Request, bytes]):
     LINE: ClassVar[type[DryveLine]] = DryveLine
 
     def _units(self, line: ByteLine) -> range:
-        return range(1, 248)
+        return range(248)
 
     def read(self, what: _Object) -> int:
         """Return the signed value of an object; raises as `LineUnit.ask_repeatedly`."""
@@ -118,7 +120,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
 
     Args:
         line: the connection to the drive.
-        unit: its place on that line; the drive itself heeds no unit.
+        unit: the unit identifier to send; the drive ignores it.
         runtime: the runtime to wait with.
         velocity_unit: "position" (position units per second) or "rpm" (0.01 rpm).
         timeout_s: the response timeout [s].
@@ -291,11 +293,17 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
     def home(self, method: int | None, motor: str) -> None:
         """Start homing with the speeds of the drive; None: by its own method."""
         registers = self.registers
+        if method is not None:
+            try:
+                registers.write(_METHOD, method)
+            except DryveException as error:
+                if error.code != ILLEGAL_VALUE:
+                    raise
+                feature, known = f"homing by method {method}", "those that 6098h accepts"
+                raise UnsupportedError(motor=motor, feature=feature, supported=known) from error
         self._recounts = True
         registers.write(_CONTROLWORD, _ENABLE | _HALT)
         self._select(_HM)
-        if method is not None:
-            registers.write(_METHOD, method)
         registers.write(_CONTROLWORD, _ENABLE)
         self._wait_a_cycle(self.runtime.now_ns())
         registers.write(_CONTROLWORD, _ENABLE | _START)

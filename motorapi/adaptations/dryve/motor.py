@@ -53,7 +53,7 @@ class DryveMotor(PolledMotor[DryveHwMotor]):
 class DryveTable:
     """A motor behind an igus dryve D1."""
 
-    unit: int = whole(1, 1, 247, "", "Place on its line; the drive heeds no unit.")
+    unit: int = whole(0, 0, 247, "", "Unit identifier to send; the drive ignores it.")
     name: str | None = text(None, "Name of the motor; absent: the model's.")
     velocity_unit: str = word(
         "position",

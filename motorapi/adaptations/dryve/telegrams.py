@@ -17,12 +17,12 @@ _HEAD: Final = 12  # of a PDU, up to the byte count
 _LENGTHS: Final = range(2, 255)
 _FUNCTION, _MEI, _ERROR = 0x2B, 0x0D, 0x80
 _HEARD_MAX: Final = 512
-ABSENT: Final = 2
+ABSENT, ILLEGAL_VALUE = 2, 3
 _GATEWAY_TARGET_FAILED: Final = 0x0B
 _TEXT: Final = {
     1: "illegal function",
     ABSENT: "no such object",
-    3: "illegal value or length",
+    ILLEGAL_VALUE: "illegal value or length",
     4: "device failure",
     5: "acknowledge",
     6: "busy",
@@ -100,10 +100,10 @@ class DryveCodec:
         self.heard = b""
 
     def encode(self, exchange: Exchange[Request, bytes]) -> bytes:
-        """Return the bytes of a request; the unit is not used, and 0 is usual."""
+        """Return the bytes of a request; the drive ignores the unit, but it must be sent."""
         pdu = exchange.request.pdu()
-        length = (len(pdu) + 1).to_bytes(2, "big")
-        return exchange.transaction.to_bytes(2, "big") + b"\0\0" + length + b"\0" + pdu
+        length, unit = (len(pdu) + 1).to_bytes(2, "big"), bytes((exchange.unit,))
+        return exchange.transaction.to_bytes(2, "big") + b"\0\0" + length + unit + pdu
 
     def feed(self, data: bytes, exchange: Exchange[Request, bytes] | None) -> bytes | None:
         """Return the PDU that `data` completes, if it may answer."""
