@@ -53,6 +53,7 @@ NOT_APPLICABLE = {
             *("OTHER-01", "OVER-01", "SET-10", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
+    "dryve": _POLLED | {"MEAS-03"},
     "dynamixel": frozenset(  # in position mode
         {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
