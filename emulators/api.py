@@ -33,8 +33,8 @@ from motorhil.emulators.controller import (
 from motorhil.emulators.firmware import flags
 from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
-from motorhil.emulators.motor_drive import MotorDrive
 from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.motor_drive import MotorDrive
 from motorhil.emulators.plant.dc_motor import RANGES
 from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
