@@ -25,6 +25,7 @@ from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
 from motorhil.motorapi.api.streamed_motion import StreamedMotion
+from motorhil.motorapi.api.streamed_motor import StreamedMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -45,7 +46,7 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
-from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
 from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
@@ -97,6 +98,7 @@ __all__ = [
     "PolledMotor",
     "ProcessLock",
     "Ramps",
+    "Registration",
     "Runtime",
     "SentFrame",
     "Setpoint",
@@ -106,6 +108,7 @@ __all__ = [
     "SignOfLife",
     "StateError",
     "StreamedMotion",
+    "StreamedMotor",
     "SyncLevel",
     "SyncOffer",
     "Trajectory",
