@@ -21,10 +21,10 @@ from typing import Any, Final, final
 
 from motorhil.emulators.api import (
     NEVER_NS,
-    RANGES,
     REQUIRED,
     Controller,
     ControllerContext,
+    MotorDrive,
     MotorTable,
     axis_of,
     can_id_of,
@@ -110,7 +110,7 @@ class _Rom:
 
 
 @final
-class RmdController:
+class RmdController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
     def __init__(self, settings: RmdTable, stream: str) -> None:
@@ -118,11 +118,11 @@ class RmdController:
         plant = motor.plant
         self._settings = settings
         self._plant = plant
-        self._axis = axis_of(motor, motor.oscillator.rate())
+        super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, 0x4000))
         self._inc_deg: Final = plant.encoder_increments_rev * plant.gear_ratio / 360.0
         self._pulses: Final = _PULSES / plant.encoder_increments_rev
         self._watches: Final[bool] = plant.extras.is_any()
-        self._axis.set_windows(
+        self.axis.set_windows(
             following_window_inc=round(settings.stall_deg * self._inc_deg), following_window_ns=0
         )
         self._profiled: Final = motor.gains
@@ -135,7 +135,7 @@ class RmdController:
         self._node = settings.node_id
         self._gains = dict(gains)
         self._revision = self._mode = self._errors = 0
-        self._is_on = self._is_silenced = self._swallows = self._reports = False
+        self._is_silenced = self._swallows = self._reports = False
         self._lost = 0  # increments of whole turns that were lost with the power
         self._offset = 0
         self._now_ns = self._start_ns = 0
@@ -144,15 +144,13 @@ class RmdController:
         self._active: dict[int, int] = {}  # command: period [ns]
         self._active_ns: dict[int, int] = {}
         self._due: list[tuple[int, bytes]] = []
-        self._out: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
 
     # --- time
 
     def start(self, now_ns: int) -> None:
         """Switch the power on."""
-        self._axis.at(now_ns)
-        self._is_on = True
+        self.axis.at(now_ns)
+        self.is_powered = True
         self._now_ns = now_ns
         self._restart()
 
@@ -168,7 +166,7 @@ class RmdController:
         self._gains, self._offset = dict(self._rom.gains), self._rom.offset
         if not self._rom.keeps_turns:
             self._lost = (
-                self._axis.count() // round(self._inc_deg * 360) * round(self._inc_deg * 360)
+                self.axis.count() // round(self._inc_deg * 360) * round(self._inc_deg * 360)
             )
         if self._node != self._rom.node_id:
             self._node = self._rom.node_id
@@ -176,17 +174,17 @@ class RmdController:
 
     def next_deadline_ns(self) -> int | None:
         """Return the latest time of the next call of `expire` [ns]."""
-        if not self._is_on:
+        if not self.is_powered:
             return None
         due_ns = min(self._ready_ns, self._silent_ns, self._clear_ns, self._report_ns)
         due_ns = min((due_ns, *(one for one, _ in self._due), *self._active_ns.values()))
         if self._watches or self._mode:
-            due_ns = min(due_ns, self._axis.event_ns(due_ns))
+            due_ns = min(due_ns, self.axis.event_ns(due_ns))
         return None if due_ns >= NEVER_NS else due_ns
 
     def expire(self, now_ns: int) -> None:
         """Do everything that is due at `now_ns`."""
-        if not self._is_on:
+        if not self.is_powered:
             return
         self._at(now_ns)
         if now_ns >= self._ready_ns:
@@ -194,11 +192,11 @@ class RmdController:
             self._hear()
         if now_ns >= self._silent_ns:
             if not self._is_silenced:
-                self._events.append(("warning", "communication interrupted: the output is off"))
+                self.warn("communication interrupted: the output is off")
             self._is_silenced = self._swallows = True
             self._silent_ns = now_ns + _SECOND_NS
             self._off()
-            self._out.append(pack(_ANSWER + self._node, b"\xf1" + bytes(7)))
+            self.queue(pack(_ANSWER + self._node, b"\xf1" + bytes(7)))
         if now_ns >= self._clear_ns:
             self._clear_ns = NEVER_NS
             self._errors &= _UNTIL_RESTART
@@ -211,23 +209,25 @@ class RmdController:
             if now_ns >= due_ns:
                 self._active_ns[command] = now_ns + self._active[command]
                 self._answer(_READS[command](self, bytes((command,)) + bytes(7)))
-        self._out += [frame for due_ns, frame in self._due if due_ns <= now_ns]
+        for due_ns, frame in self._due:
+            if due_ns <= now_ns:
+                self.queue(frame)
         self._due = [one for one in self._due if one[0] > now_ns]
 
     def _at(self, now_ns: int) -> None:
         self._now_ns = now_ns
-        self._axis.at(now_ns)
+        self.axis.at(now_ns)
         self._check_causes()
 
     def _check_causes(self) -> None:
-        seen = self._axis.flags
+        seen = self.axis.flags
         for flag, error in _CAUSES.items():
             if seen & flag and (error != _STALL or self._mode):
                 self._fail(error)
 
     def _fail(self, error: int, duration_ns: int = _ERROR_NS) -> None:
         if not self._errors & error:
-            self._events.append(("error", f"fault {error:04X}h"))
+            self.note("error", f"fault {error:04X}h")
             if self._reports:
                 self._report_ns = self._now_ns + _ERROR_NS
         self._errors |= error
@@ -237,7 +237,7 @@ class RmdController:
 
     def _off(self) -> None:
         self._mode = NONE
-        self._axis.power(False)
+        self.axis.power(False)
 
     # --- frames
 
@@ -245,14 +245,16 @@ class RmdController:
         """Handle a frame from the bus."""
         can_id, request = can_id_of(data), data_of(data)
         is_all = can_id in (_ALL, _SETTING)
-        if not self._is_on or self._ready_ns != NEVER_NS:
+        if not self.is_powered or self._ready_ns != NEVER_NS:
             return
         if can_id != _REQUEST + self._node and not (is_all and not self._rom.is_filtered):
             return
         self._at(now_ns)
         self._hear()
         if len(request) != 8:
-            self._warn(f"request {request.hex()} of {len(request)} bytes is ignored: 8 are needed")
+            self.warn(
+                f"request {request.hex()} of {len(request)} bytes is ignored: 8 are needed",
+            )
             return
         if self._swallows:  # the first one after an interruption comes back, and does nothing
             self._swallows = False
@@ -269,7 +271,7 @@ class RmdController:
             if answer is not None:
                 self._answer(answer)
         elif command not in _READS:
-            self._warn(f"command {command:02X}h is not emulated")
+            self.warn(f"command {command:02X}h is not emulated")
 
     def _hear(self) -> None:
         """Begin the interruption time anew."""
@@ -295,29 +297,29 @@ class RmdController:
 
     def _pulses_now(self) -> int:
         """Return the raw position of the multi-turn encoder [pulses]."""
-        return int((self._axis.count() - self._lost) * self._pulses // 1)
+        return int((self.axis.count() - self._lost) * self._pulses // 1)
 
     def _centidegrees(self) -> int:
-        inc = self._axis.count() - self._lost - self._offset / self._pulses
+        inc = self.axis.count() - self._lost - self._offset / self._pulses
         return int(inc * 100.0 / self._inc_deg // 1)
 
     def _temperature(self) -> int:
-        return max(-128, min(127, int(self._axis.winding_temperature_c())))
+        return max(-128, min(127, int(self.axis.winding_temperature_c())))
 
     def _status_1(self, request: bytes) -> bytes:
         told = self._temperature().to_bytes(1, "little", signed=True)
-        volts = int(self._axis.dc_link_v() * 10).to_bytes(2, "little")
+        volts = int(self.axis.dc_link_v() * 10).to_bytes(2, "little")
         is_open = bytes((self._brake_is_open or self._mode != NONE,))
         return request[:1] + told + b"\0" + is_open + volts + self._errors.to_bytes(2, "little")
 
     def _status_2(self, request: bytes) -> bytes:
-        speed = self._axis.velocity_inc_s() / self._inc_deg
-        amps = self._axis.current_a() * 100
+        speed = self.axis.velocity_inc_s() / self._inc_deg
+        amps = self.axis.current_a() * 100
         values = (_short(value) for value in (amps, speed, self._centidegrees() / 100))
         return _MOTION.pack(request[0], self._temperature(), *values)
 
     def _status_3(self, request: bytes) -> bytes:
-        amps = self._axis.current_a() * 100
+        amps = self.axis.current_a() * 100
         phases = (_short(share * amps) for share in (1.0, -0.5, -0.5))
         return _MOTION.pack(request[0], self._temperature(), *phases)
 
@@ -336,7 +338,7 @@ class RmdController:
         """Drive a torque current (A1h)."""
         if self._can_move():
             self._mode = CURRENT
-            self._axis.apply_current(
+            self.axis.apply_current(
                 int.from_bytes(request[4:6], "little", signed=True) / 100, _AT_ONCE
             )
         return self._status_2(request)
@@ -347,8 +349,8 @@ class RmdController:
             self._mode = SPEED
             faster, slower = (self._ramp(index) for index in (2, 3))
             wanted = _LAST.unpack(request)[0] / 100 * self._inc_deg
-            self._axis.set_gains(self._profiled)
-            self._axis.run_at(wanted, faster, slower)
+            self.axis.set_gains(self._profiled)
+            self.axis.run_at(wanted, faster, slower)
         return self._status_2(request)
 
     def position(self, request: bytes) -> bytes:
@@ -367,7 +369,7 @@ class RmdController:
         """Move within one turn (A6h): 0 clockwise, 1 counter-clockwise; in single-turn mode."""
         dps, target = int.from_bytes(request[2:4], "little"), int.from_bytes(request[4:6], "little")
         if self._rom.keeps_turns:
-            self._warn("A6h needs single-turn mode; switch 20h index 4 off, and restart")
+            self.warn("A6h needs single-turn mode; switch 20h index 4 off, and restart")
         else:
             here = self._centidegrees()
             way = (target - here) % 36_000
@@ -385,17 +387,17 @@ class RmdController:
         inc = round(target / 100 * self._inc_deg + self._offset / self._pulses) + self._lost
         speed = dps * self._inc_deg if dps else _AT_ONCE
         is_direct = not self._rom.acceleration[0]
-        self._axis.set_gains(self._direct if is_direct else self._profiled)
+        self.axis.set_gains(self._direct if is_direct else self._profiled)
         if not is_direct:
-            self._axis.move_to(inc, min(speed, 1e12), self._ramp(0), self._ramp(1))
+            self.axis.move_to(inc, min(speed, 1e12), self._ramp(0), self._ramp(1))
         else:
-            self._axis.follow(inc, 0, speed_max_inc_s=speed)
+            self.axis.follow(inc, 0, speed_max_inc_s=speed)
 
     def _can_move(self) -> bool:
         if self._errors:
-            self._warn(f"not obeyed: fault {self._errors:04X}h")
+            self.warn(f"not obeyed: fault {self._errors:04X}h")
         elif self._mode == NONE:
-            self._axis.power(True)
+            self.axis.power(True)
         return not self._errors
 
     def _ramp(self, index: int) -> float:
@@ -404,7 +406,7 @@ class RmdController:
     def stop(self, request: bytes) -> bytes:
         """Slow down to speed 0 in closed loop (81h)."""
         if self._mode != NONE:
-            self._axis.ramp_to_rest(self._ramp(3))
+            self.axis.ramp_to_rest(self._ramp(3))
         return request
 
     def shutdown(self, request: bytes) -> bytes:
@@ -433,7 +435,7 @@ class RmdController:
         """Write an acceleration to RAM and ROM (43h)."""
         value = _LAST_U.unpack(request)[0]
         if request[1] > 3 or not (value == 0 or 100 <= value <= 60_000):
-            self._warn(f"acceleration {request[1]} = {value} deg/s² is ignored")
+            self.warn(f"acceleration {request[1]} = {value} deg/s² is ignored")
             return None
         self._rom.acceleration[request[1]] = value
         self._write()
@@ -491,70 +493,25 @@ class RmdController:
 
     # --- physical inputs, and the rest of the interface
 
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set load [N·m], supply [V] or power (1, 0), or cause a fault with these bits.
-
-        Raises:
-            ValueError: there is no such stimulus, or the value is out of range.
-        """
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time."""
         self._at(now_ns)
-        if name == "load_torque_n_m":
-            low, high = RANGES[name]
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
-            self._axis.set_load(value)
-        elif name == "supply_v":
-            self._axis.set_supply(value)
-        elif name == "fault":
-            if value not in range(1, 0x4000):
-                raise ValueError(f"fault = {value}: out of range; expected bits of 1 to 3FFFh")
-            self._fail(int(value), ns(self._settings.fault_s))
-        elif name == "power":
-            if value and not self._is_on:
-                self.start(now_ns)
-            elif not value:
-                self._off()
-                self._is_on = False
-        else:
-            known = "load_torque_n_m, supply_v, fault, power"
-            raise ValueError(f"there is no stimulus {name!r}; known: {known}")
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Handle a transmitted frame of this drive; nothing follows from it."""
-        return False
+    def inject(self, fault: int) -> None:
+        """Cause faults, by their bits."""
+        self._fail(fault, ns(self._settings.fault_s))
 
-    def wants_sent(self) -> bool:
-        """Return False: calls of `sent` are not needed."""
-        return False
+    def go_dark(self) -> None:
+        """Lose the power."""
+        self._off()
+        self.is_powered = False
 
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to queue now."""
-        out, self._out = self._out, []
-        return out
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of the events since the last call."""
-        events, self._events = self._events, []
-        return events
-
-    def _warn(self, message: str) -> None:
-        self._events.append(("warning", message))
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true values at `now_ns`; those in rad and N·m are at the output."""
-        axis = self._axis
-        axis.at(now_ns)
+    def truth(self) -> Mapping[str, float]:
+        """Return mode, errors, and the number of writes to ROM."""
         return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
             "mode": float(self._mode),
             "fault": float(self._errors),
             "rom_writes": float(self._rom.writes),
-            **axis.truth_of_extras(),
         }
 
     def identifiers(self) -> Sequence[int] | None:
@@ -594,8 +551,8 @@ class RmdController:
             return request[:7] + bytes((self._mode,))
         if request[0] == 0xB5:
             return request[:1] + self._settings.model.encode()[:7].ljust(7, b"\0")
-        speed_rad_s = self._axis.velocity_inc_s() / self._plant.increments_per_rad()
-        amps, back = self._axis.current_a(), self._plant.torque_constant_n_m_a * speed_rad_s
+        speed_rad_s = self.axis.velocity_inc_s() / self._plant.increments_per_rad()
+        amps, back = self.axis.current_a(), self._plant.torque_constant_n_m_a * speed_rad_s
         watts = abs(amps * (back + amps * self._plant.resistance_ohm))
         return request[:6] + min(0xFFFF, int(watts * 10)).to_bytes(2, "little")
 

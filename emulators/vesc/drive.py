@@ -32,10 +32,10 @@ from typing import Final, final
 from motorhil.emulators.api import (
     EFF_FLAG,
     NEVER_NS,
-    RANGES,
     REQUIRED,
     Controller,
     ControllerContext,
+    MotorDrive,
     MotorTable,
     axis_of,
     can_id_of,
@@ -126,8 +126,11 @@ class VescTable(MotorTable):
         above=True,
         plausible=(1e-7, 1.0),
     )
+    encoder_turns: int = whole(
+        1, 1, 1_000_000, "", "Turns of the motor in one of its encoder; known at power-on."
+    )
     position_divider: float = number(
-        1.0, 0, 1e6, "", "Turns of the motor in 360 degrees of position.", above=True
+        1.0, 0, 1e6, "", "Turns of the encoder in 360 degrees of position.", above=True
     )
     voltage_min_v: float = number(
         *(8.0, 0, 1e6, "V", "Fault 2, under voltage, below; needs a DC link."),
@@ -159,14 +162,14 @@ class Mode(IntEnum):
 
 
 @final
-class VescController:
+class VescController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
     def __init__(self, settings: VescTable, stream: str) -> None:
         motor = settings.motor(stream)
         self._settings = settings
         self._plant = motor.plant
-        self._axis = axis_of(motor, motor.oscillator.rate())
+        super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, _FAULT_MAX + 1))
         self._inc: Final = motor.plant.encoder_increments_rev
         self._inc_s: Final = self._inc / (60.0 * settings.pole_pairs)  # per ERPM
         self._gains: Final = motor.gains
@@ -176,8 +179,9 @@ class VescController:
         forward = min(settings.current_max_a, motor.plant.current_max_a)
         backward = min(settings.current_brake_max_a, motor.plant.current_max_a)
         self._limits_a = (-backward, forward)
-        per_inc = 360.0 / (self._inc * settings.position_divider)
-        kd = settings.position_kd * forward * per_inc
+        self._turn: Final = self._inc * settings.encoder_turns
+        self._span: Final = self._turn * settings.position_divider  # increments in 360 degrees
+        kd = settings.position_kd * forward * 360.0 / self._span
         plain = replace(
             motor.gains,
             velocity_ki_a_inc=0.0,
@@ -190,7 +194,7 @@ class VescController:
             velocity_kp_a_s_inc=kd,
         )
         self._duty_gains = plain.shorted(motor.plant)
-        self._axis.set_thresholds(
+        self.axis.set_thresholds(
             over_voltage_v=settings.voltage_max_v,
             under_voltage_v=settings.voltage_min_v,
             over_temperature_c=settings.temperature_max_c,
@@ -198,7 +202,7 @@ class VescController:
         self._watches: Final[bool] = motor.plant.extras.is_any()
         self._packets = Reassembly()
         self._mode = Mode.OFF
-        self._is_on = self._timed_out = False
+        self._timed_out = False
         self._fault = 0
         self._duty = self._angle_offset = 0.0
         self._speed = (0.0, 0, 0.0)  # set-point of ERPM, at this time [ns], on the way to there
@@ -206,18 +210,16 @@ class VescController:
         self._now_ns = self._start_ns = self._fed_ns = 0
         self._boot_ns = self._timeout_ns = self._deaf_ns = self._speed_ns = NEVER_NS
         self._status_ns = [NEVER_NS, NEVER_NS]
-        self._out: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
 
     # --- time
 
     def start(self, now_ns: int) -> None:
         """Switch the power on."""
-        self._axis.at(now_ns)
-        self._is_on = True
+        self.axis.at(now_ns)
+        self.is_powered = True
         self._now_ns = self._start_ns = now_ns
-        self._power_on = self._last = self._axis.count()
-        self._zero = self._power_on // self._inc * self._inc  # the encoder knows one turn
+        self._power_on = self._last = self.axis.count()
+        self._zero = self._power_on // self._turn * self._turn
         self._travelled = self._fault = 0
         self._timed_out = False
         self._angle_offset = 0.0
@@ -227,18 +229,18 @@ class VescController:
 
     def next_deadline_ns(self) -> int | None:
         """Return the latest time of the next call of `expire` [ns]."""
-        if not self._is_on:
+        if not self.is_powered:
             return None
         due_ns = min(
             *(self._boot_ns, self._timeout_ns, self._deaf_ns, self._speed_ns, *self._status_ns)
         )
         if self._watches:
-            due_ns = min(due_ns, self._axis.event_ns(due_ns))
+            due_ns = min(due_ns, self.axis.event_ns(due_ns))
         return None if due_ns >= NEVER_NS else due_ns
 
     def expire(self, now_ns: int) -> None:
         """Do everything that is due at `now_ns`."""
-        if not self._is_on:
+        if not self.is_powered:
             return
         self._at(now_ns)
         if now_ns >= self._deaf_ns:
@@ -268,8 +270,8 @@ class VescController:
 
     def _at(self, now_ns: int) -> None:
         self._now_ns = now_ns
-        self._axis.at(now_ns)
-        count = self._axis.count()
+        self.axis.at(now_ns)
+        count = self.axis.count()
         self._travelled += abs(count - self._last)
         self._last = count
         self._check_cause()
@@ -278,7 +280,7 @@ class VescController:
         """Begin a fault, or begin its time anew, while its cause lasts."""
         if self._watches:
             for flag, fault in _FAULTS.items():
-                if self._axis.flags & flag:
+                if self.axis.flags & flag:
                     self._fail(fault)
 
     def _feed(self) -> None:
@@ -290,7 +292,7 @@ class VescController:
 
     def _fail(self, fault: int) -> None:
         if fault != self._fault:
-            self._events.append(("error", f"fault {fault}"))
+            self.note("error", f"fault {fault}")
         self._fault = fault
         self._be_deaf(ns(self._settings.fault_stop_s))
 
@@ -301,30 +303,30 @@ class VescController:
     # --- measurements
 
     def _erpm(self) -> float:
-        return self._axis.velocity_inc_s() / self._inc_s
+        return self.axis.velocity_inc_s() / self._inc_s
 
     def _duty_now(self) -> float:
         if self._mode is Mode.OFF:
             return 0.0
-        speed_rad_s = self._axis.velocity_inc_s() / self._plant.increments_per_rad()
+        speed_rad_s = self.axis.velocity_inc_s() / self._plant.increments_per_rad()
         back_v = speed_rad_s * self._plant.torque_constant_n_m_a
-        return (back_v + self._axis.current_a() * self._plant.resistance_ohm) / self._volts()
+        return (back_v + self.axis.current_a() * self._plant.resistance_ohm) / self._volts()
 
     def _volts(self) -> float:
-        return max(self._axis.dc_link_v(), 1e-3)
+        return max(self.axis.dc_link_v(), 1e-3)
 
     def _degrees(self) -> float:
-        turns = (self._axis.count() - self._zero) / self._inc
-        return (360.0 * turns / self._settings.position_divider - self._angle_offset) % 360.0
+        spans = (self.axis.count() - self._zero) / self._span
+        return (360.0 * spans - self._angle_offset) % 360.0
 
     def _tachometer(self, increments: int) -> int:
         return 6 * self._settings.pole_pairs * increments // self._inc
 
     def _fields(self) -> tuple[bytes, ...]:
         """Return the fields of GET_VALUES, by the bits of their mask."""
-        amps, duty = self._axis.current_a(), self._duty_now()
-        cold, warm = self._plant.extras.ambient_c, self._axis.winding_temperature_c()
-        way = self._axis.count() - self._power_on
+        amps, duty = self.axis.current_a(), self._duty_now()
+        cold, warm = self._plant.extras.ambient_c, self.axis.winding_temperature_c()
+        way = self.axis.count() - self._power_on
         return (
             *(_cut(2, cold * 10), _cut(2, warm * 10), _cut(4, amps * 100)),
             *(_cut(4, amps * duty * 100), _cut(4, 0), _cut(4, amps * 100)),
@@ -340,7 +342,7 @@ class VescController:
 
     def _send_status(self, mask: int) -> None:
         told = self._fields()
-        amps, duty = self._axis.current_a(), self._duty_now()
+        amps, duty = self.axis.current_a(), self._duty_now()
         angle = _cut(2, self._degrees() * 50)
         status = (
             told[7] + _cut(2, amps * 10) + told[6],
@@ -355,13 +357,13 @@ class VescController:
                 self._send(command, self._settings.node_id, status[i])
 
     def _send(self, command: int, number: int, data: bytes) -> None:
-        self._out.append(frame(EFF_FLAG | command << 8 | number, data))
+        self.queue(frame(EFF_FLAG | command << 8 | number, data))
 
     # --- frames to the drive
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Handle a frame from the bus; missing bytes count as 0."""
-        if not self._is_on:
+        if not self.is_powered:
             return
         can_id, payload = can_id_of(data), data_of(data)
         if can_id & ~0xFFFF != EFF_FLAG or can_id & 0xFF not in (
@@ -373,11 +375,11 @@ class VescController:
         command = can_id >> 8 & 0xFF
         needed = _NEEDED.get(command, 0)
         if len(payload) < needed:
-            self._warn(f"command {command} has {len(payload)} of {needed} bytes; 0 for the rest")
+            self.warn(f"command {command} has {len(payload)} of {needed} bytes; 0 for the rest")
             payload = payload.ljust(needed, b"\0")
         if command in _MOTION:
             if command == 1 and len(payload) >= 6:
-                self._warn("SET_CURRENT of 6 bytes: the current is read from bytes 2 to 5")
+                self.warn("SET_CURRENT of 6 bytes: the current is read from bytes 2 to 5")
                 payload = payload[2:]
             self._command(*_MOTION[command], _I32.unpack_from(payload)[0])
         elif command == FILL:
@@ -388,7 +390,7 @@ class VescController:
             length, crc = (int.from_bytes(payload[i : i + 2], "big") for i in (2, 4))
             packet = self._packets.take(length, crc)
             if packet is None:
-                self._warn(f"a packet of {length} bytes is dropped: no buffer, or another CRC")
+                self.warn(f"a packet of {length} bytes is dropped: no buffer, or another CRC")
             else:
                 self._process(packet, payload[0], payload[1])
         elif command == PROCESS_SHORT:
@@ -411,13 +413,13 @@ class VescController:
             now = self._degrees() + self._angle_offset
             self._angle_offset = now - _I32.unpack_from(payload)[0] / 1e4
         elif command == 31:
-            self._go_dark()
+            self.go_dark()
         else:
-            self._warn(f"command {command} is not emulated")
+            self.warn(f"command {command} is not emulated")
 
     def _fill(self, offset: int, part: bytes) -> None:
         if not self._packets.fill(offset, part):
-            self._warn(f"a fragment at offset {offset} is dropped: no buffer ends there")
+            self.warn(f"a fragment at offset {offset} is dropped: no buffer ends there")
 
     def _process(self, packet: bytes, sender: int, mode: int) -> None:
         if mode not in (0, 2, 3) or not packet:
@@ -435,7 +437,7 @@ class VescController:
         else:
             answer = self._answer(kind, rest)
             if answer is None:
-                self._warn(f"packet {kind} is not emulated")
+                self.warn(f"packet {kind} is not emulated")
             elif mode != 2:
                 answers_mode = 0 if mode == 3 else 1
                 for one, data in frames_of(answer, self._settings.node_id, answers_mode):
@@ -464,24 +466,24 @@ class VescController:
 
     def _release(self) -> None:
         self._enter(Mode.OFF)
-        self._axis.power(False)
+        self.axis.power(False)
 
     def _enter(self, mode: Mode) -> bool:
         """Enter the mode; return True if it is another one."""
         is_new = mode is not self._mode
         if is_new and self._mode is Mode.OFF:
-            self._axis.power(True)
-            self._axis.apply_current(0.0, _AT_ONCE)  # so that ramps start at the present speed
+            self.axis.power(True)
+            self.axis.apply_current(0.0, _AT_ONCE)  # so that ramps start at the present speed
         if is_new:
             self._mode = mode
             self._speed_ns = NEVER_NS
             own = {Mode.DUTY: self._duty_gains, Mode.POSITION: self._position_gains}
-            self._axis.set_gains(own.get(mode, self._gains))
+            self.axis.set_gains(own.get(mode, self._gains))
             self._limit(self._limits_a[1])
         return is_new
 
     def _limit(self, amps: float) -> None:
-        self._axis.set_current_limit(amps)
+        self.axis.set_current_limit(amps)
 
     def current(self, amps: float) -> None:
         """Drive this current [A]."""
@@ -492,7 +494,7 @@ class VescController:
         else:
             self._enter(Mode.CURRENT)
             self._limit(max(-low, high))
-            self._axis.apply_current(amps, _AT_ONCE)
+            self.axis.apply_current(amps, _AT_ONCE)
 
     def current_relative(self, share: float) -> None:
         """Drive this share of the current limit."""
@@ -507,7 +509,7 @@ class VescController:
             self._release()
             return
         if self._enter(Mode.BRAKE):
-            self._axis.brake(shorted=True)
+            self.axis.brake(shorted=True)
         self._limit(amps)
 
     def brake_relative(self, share: float) -> None:
@@ -521,7 +523,7 @@ class VescController:
             self._release()
             return
         if self._enter(Mode.HANDBRAKE):
-            self._axis.follow(self._axis.position_inc(), 0)
+            self.axis.follow(self.axis.position_inc(), 0)
         self._limit(amps)
 
     def handbrake_relative(self, share: float) -> None:
@@ -537,14 +539,13 @@ class VescController:
             return
         self._enter(Mode.DUTY)
         ramp = self._settings.duty_ramp_s * self._no_load_inc_s
-        self._axis.run_at(duty * self._no_load_inc_s, ramp, ramp)
+        self.axis.run_at(duty * self._no_load_inc_s, ramp, ramp)
 
     def position(self, degrees: float) -> None:
         """Turn to this angle the shorter way round [degrees]."""
         self._enter(Mode.POSITION)
         way = (degrees - self._degrees() + 180.0) % 360.0 - 180.0
-        turns = way / 360.0 * self._settings.position_divider
-        self._axis.follow(self._axis.position_inc() + round(turns * self._inc), 0)
+        self.axis.follow(self.axis.position_inc() + round(way / 360.0 * self._span), 0)
 
     def speed(self, erpm: float) -> None:
         """Ramp to this speed [ERPM]."""
@@ -553,9 +554,9 @@ class VescController:
         start = self._erpm() if is_new else self._set_point()
         self._speed = start, self._now_ns, max(-limit, min(limit, erpm))
         if is_new and abs(start) >= self._settings.erpm_min:
-            self._axis.follow_velocity(start * self._inc_s, 0)
+            self.axis.follow_velocity(start * self._inc_s, 0)
         elif is_new:
-            self._axis.brake(shorted=True)
+            self.axis.brake(shorted=True)
         self._follow_speed()
 
     def _set_point(self) -> float:
@@ -566,7 +567,7 @@ class VescController:
 
     def _follow_speed(self) -> None:
         """Control the speed, or short the motor while the set-point is too low; plan the next."""
-        low, ramp, axis = self._settings.erpm_min, self._settings.erpm_ramp_s, self._axis
+        low, ramp, axis = self._settings.erpm_min, self._settings.erpm_ramp_s, self.axis
         now, target = self._set_point(), self._speed[2]
         until: float | None = None  # way of the set-point to the next change
         if abs(now) < low * (1.0 - 1e-9):
@@ -587,75 +588,27 @@ class VescController:
 
     # --- physical inputs, and the rest of the interface
 
-    def _go_dark(self) -> None:
+    def go_dark(self) -> None:
+        """Lose the power."""
         self._release()
-        self._is_on = False
+        self.is_powered = False
         self._boot_ns = self._timeout_ns = self._deaf_ns = NEVER_NS
         self._status_ns = [NEVER_NS, NEVER_NS]
 
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set load [N·m], supply [V] or power (1, 0), or cause a fault with this code.
-
-        Raises:
-            ValueError: there is no such stimulus, or the value is out of range.
-        """
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time."""
         self._at(now_ns)
-        if name == "load_torque_n_m":
-            low, high = RANGES[name]
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
-            self._axis.set_load(value)
-        elif name == "supply_v":
-            self._axis.set_supply(value)
-        elif name == "fault":
-            if value not in range(1, _FAULT_MAX + 1):
-                raise ValueError(f"fault = {value}: out of range; expected 1 to {_FAULT_MAX}")
-            self._fail(int(value))
-        elif name == "power":
-            if value and not self._is_on:
-                self.start(now_ns)
-            elif not value:
-                self._go_dark()
-        else:
-            known = "load_torque_n_m, supply_v, fault, power"
-            raise ValueError(f"there is no stimulus {name!r}; known: {known}")
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Handle a transmitted frame of this drive; nothing follows from it."""
-        return False
+    def inject(self, fault: int) -> None:
+        """Cause a fault, which clears itself."""
+        self._fail(fault)
 
-    def wants_sent(self) -> bool:
-        """Return False: calls of `sent` are not needed."""
-        return False
-
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to queue now."""
-        out, self._out = self._out, []
-        return out
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of the events since the last call."""
-        events, self._events = self._events, []
-        return events
-
-    def _warn(self, message: str) -> None:
-        self._events.append(("warning", message))
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true values at `now_ns`; those in rad and N·m are at the gear's output."""
-        axis = self._axis
-        axis.at(now_ns)
+    def truth(self) -> Mapping[str, float]:
+        """Return mode, fault, and whether the timeout has struck."""
         return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
             "mode": float(self._mode),
             "fault": float(self._fault),
             "timeout": float(self._timed_out),
-            **axis.truth_of_extras(),
         }
 
     def identifiers(self) -> Sequence[int] | None:
@@ -665,10 +618,6 @@ class VescController:
             for number in (self._settings.node_id, _EVERYBODY)
             for command in _COMMANDS
         ]
-
-    def identifiers_revision(self) -> int:
-        """Return 0: the identifiers never change."""
-        return 0
 
 
 def _cut(size: int, value: float) -> bytes:

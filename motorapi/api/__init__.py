@@ -25,6 +25,7 @@ from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
 from motorhil.motorapi.api.streamed_motion import StreamedMotion
+from motorhil.motorapi.api.streamed_motor import StreamedMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -57,7 +58,7 @@ from motorhil.motorapi.trajectory import (
     TrapezoidalTrajectory,
     asks_for_smoothness,
 )
-from motorhil.settings import REQUIRED, number, text, whole, word
+from motorhil.settings import REQUIRED, SettingError, number, text, whole, word
 
 __all__ = [
     "BOOT_S",
@@ -102,10 +103,12 @@ __all__ = [
     "SentFrame",
     "Setpoint",
     "SetpointStream",
+    "SettingError",
     "Shared",
     "SignOfLife",
     "StateError",
     "StreamedMotion",
+    "StreamedMotor",
     "SyncLevel",
     "SyncOffer",
     "Trajectory",

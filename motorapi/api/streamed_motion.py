@@ -12,6 +12,7 @@ from motorhil.motorapi.api.setpoint_stream import SendSetpoint, SetpointStream
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.generation import ProfileLimits, trapezoid
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
+from motorhil.motorapi.synchronization.quality import MotionTimes
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api.can_drive import CanDrive
@@ -44,6 +45,8 @@ class StreamedMotion:
         self._period_s: Final = period_s
         self._lead_s: Final = lead_s
         self._stream: SetpointStream | None = None
+        self._first: SentFrame | None = None
+        self._last: SentFrame | None = None
         self._course: Course = (float, 0.0)
         self._began_ns = 0
 
@@ -114,6 +117,16 @@ class StreamedMotion:
         at_s, demand = self._elapsed_s(), self._course[0]
         return demand(at_s), (demand(at_s + _STEP_S) - demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
 
+    def times(self) -> MotionTimes | None:
+        """Return when the first and the last set-point were on the bus; None: no motion yet."""
+        if self._first is None:
+            return None
+        began_ns, ended_ns = (
+            None if one is None else one.time_ns for one in (self._first, self._last)
+        )
+        source = "the first and the last set-point on the wire"
+        return MotionTimes(began_ns, ended_ns, source, latched_ns=began_ns)
+
     def cancel(self) -> None:
         """End the stream; the drive keeps the last set-point."""
         if self._stream is not None:
@@ -136,9 +149,14 @@ class StreamedMotion:
         self._stream = SetpointStream(
             self._drive,
             lambda at_s: value(min(at_s + lead_s, duration_s)),
-            *(duration_s, self._period_s, send, lambda _: None),
+            *(duration_s, self._period_s, send, self._note_last),
         )
-        return self._stream.begin()
+        self._first = self._last = None
+        self._first = self._stream.begin()
+        return self._first
+
+    def _note_last(self, sent: "SentFrame") -> None:
+        self._last = sent
 
 
 def _ramp(motion: "Motion", value: float, scale: float) -> Course:

@@ -11,10 +11,10 @@ from typing import Final, final
 
 from motorhil.emulators.api import (
     NEVER_NS,
-    RANGES,
     REQUIRED,
     Controller,
     ControllerContext,
+    MotorDrive,
     MotorTable,
     axis_of,
     can_id_of,
@@ -53,28 +53,26 @@ class DriveTable(MotorTable):
 
 
 @final
-class MydriveController:
+class MydriveController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
     def __init__(self, settings: DriveTable, stream: str) -> None:
         motor = settings.motor(stream)
         self._settings = settings
-        self._axis = axis_of(motor, motor.oscillator.rate())
+        super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, 1 << 16))
         self._inc = motor.plant.encoder_increments_rev
-        self._is_on = self._is_powered = False
+        self._is_on = False
         self._count = self._fault = 0
         self._velocity = self._faster = self._slower = 1.0  # [turns/s, turns/s²]
         self._next_ns = self._watchdog_ns = NEVER_NS
-        self._out: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
 
     # 3. Time: what the drive does by itself, and when.
 
     def start(self, now_ns: int) -> None:
         """Switch the power on."""
-        self._is_powered = True
-        self._axis.at(now_ns)
-        self._axis.set_position(self._axis.count())
+        self.is_powered = True
+        self.axis.at(now_ns)
+        self.axis.set_position(self.axis.count())
         self._next_ns = now_ns + round(self._settings.boot_up_s * 1e9)
 
     def next_deadline_ns(self) -> int | None:
@@ -86,14 +84,14 @@ class MydriveController:
         """Send status and estimate; stop without a host."""
         if now_ns >= self._watchdog_ns:
             self._watchdog_ns = NEVER_NS
-            self._axis.at(now_ns)
+            self.axis.at(now_ns)
             self._fault = 3
-            self._axis.ramp_to_rest(self._slower * self._inc)
+            self.axis.ramp_to_rest(self._slower * self._inc)
         if now_ns < self._next_ns:
             return
         self._next_ns += round(self._settings.period_s * 1e9)
-        self._axis.at(now_ns)
-        axis = self._axis
+        self.axis.at(now_ns)
+        axis = self.axis
         behind = abs(axis.following_error_inc()) / self._inc
         if self._is_on and not self._fault and behind > self._settings.following_error_rev:
             self._fault = 4
@@ -111,9 +109,9 @@ class MydriveController:
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Handle a frame from the bus."""
-        if not self._is_powered:
+        if not self.is_powered:
             return
-        self._axis.at(now_ns)
+        self.axis.at(now_ns)
         if self._watchdog_ns != NEVER_NS:
             self._watchdog_ns = self._patience_ns(now_ns)
         kind, payload = can_id_of(data) - self._settings.node_id, data_of(data)
@@ -126,7 +124,7 @@ class MydriveController:
             faster, slower = _TWO_WORDS.unpack(payload)
             self._faster, self._slower = max(1, faster) / _UNITS, max(1, slower) / _UNITS
         elif kind != 0x400:
-            self._events.append(("warning", f"frame {data.hex()} is not understood"))
+            self.warn(f"frame {data.hex()} is not understood")
 
     def _obey(self, code: int, target: int, now_ns: int) -> None:
         if code == 0:
@@ -135,25 +133,25 @@ class MydriveController:
             self._fault = 0
             self._switch(on=False)
         elif self._fault:
-            self._events.append(("warning", f"command {code} refused: fault {self._fault}"))
+            self.warn(f"command {code} refused: fault {self._fault}")
         elif code == 1:
             self._switch(on=True)
             self._watchdog_ns = self._patience_ns(now_ns)
         elif code == 2 and self._is_on:
-            self._axis.move_to(
+            self.axis.move_to(
                 round(target * self._inc / _UNITS),
                 self._velocity * self._inc,
                 self._faster * self._inc,
                 self._slower * self._inc,
             )
         elif code == 3 and self._is_on:
-            self._axis.ramp_to_rest(self._slower * self._inc)
+            self.axis.ramp_to_rest(self._slower * self._inc)
 
     def _switch(self, *, on: bool) -> None:
         if on != self._is_on:
             self._is_on = on
             self._watchdog_ns = NEVER_NS
-            self._axis.power(on)
+            self.axis.power(on)
 
     def _patience_ns(self, now_ns: int) -> int:
         """Return when the drive stops if it hears nothing more."""
@@ -161,72 +159,27 @@ class MydriveController:
         return now_ns + round(patience_s * 1e9) if patience_s else NEVER_NS
 
     def _send(self, kind: int, data: bytes) -> None:
-        self._out.append(pack(kind + self._settings.node_id, data))
+        self.queue(pack(kind + self._settings.node_id, data))
 
-    # 5. Physical inputs, for tests and faults of rigs.
+    # 5. Physical inputs, for tests and faults of rigs, and true values of the drive's own.
 
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set the load at the output [N·m], or cause a fault with this code.
+    def inject(self, fault: int) -> None:
+        """Cause a fault with this code."""
+        self._fault = fault
+        self._switch(on=False)
 
-        Raises:
-            ValueError: there is no such stimulus, or the value is out of range.
-        """
-        self._axis.at(now_ns)
-        if name == "load_torque_n_m":
-            low, high = RANGES[name]
-            if not low <= value <= high:
-                raise ValueError(f"load_torque_n_m = {value}: out of range; {low:g} to {high:g}")
-            self._axis.set_load(value)
-        elif name == "fault":
-            if value not in range(1, 1 << 16):
-                raise ValueError(f"fault = {value}: out of range; 1 to 65535")
-            self._fault = int(value)
-            self._switch(on=False)
-        else:
-            raise ValueError(f"there is no stimulus {name!r}; known: load_torque_n_m, fault")
+    def go_dark(self) -> None:
+        """Lose the power."""
+        self._switch(on=False)
+        self._next_ns = NEVER_NS
 
-    # 6. The rest of the interface.
-
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Handle a transmitted frame of this drive; nothing follows from it."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Return False: calls of `sent` are not needed."""
-        return False
-
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to queue now."""
-        out, self._out = self._out, []
-        return out
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of the events since the last call."""
-        events, self._events = self._events, []
-        return events
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true values at `now_ns`."""
-        axis = self._axis
-        axis.at(now_ns)
-        return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
-            "fault": float(self._fault),
-            **axis.truth_of_extras(),
-        }
+    def truth(self) -> Mapping[str, float]:
+        """Return the code of the fault."""
+        return {"fault": float(self._fault)}
 
     def identifiers(self) -> Sequence[int] | None:
         """Return the identifiers to which the drive listens."""
         return [kind + self._settings.node_id for kind in (0x200, 0x300, 0x380, 0x400)]
-
-    def identifiers_revision(self) -> int:
-        """Return a number that grows when the identifiers change."""
-        return 0
 
 
 @controller(api=1)

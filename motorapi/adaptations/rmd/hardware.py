@@ -30,6 +30,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     StreamedMotion,
+    SyncOffer,
     checked_node,
     number,
 )
@@ -273,6 +274,19 @@ class RmdHwMotor:
         data = bytes(3) + raw.to_bytes(4, "little", signed=True)  # speed limit 0: none
         return self.tell(Command.POSITION if is_position else Command.SPEED, data, fence)
 
+    def stop_anyway(self) -> None:
+        """Stop in closed loop, whoever owns the motor."""
+        self.tell_anyway(Command.STOP)
+
+    def forget(self) -> None:
+        """Forget what the drive was told: another program commands it, or it was lost."""
+        self.motions.forget()
+        self.drive.doubt()
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point."""
+        return self.drive.start_offer(_REQUEST + self.node_id, 8)
+
     def measured(self) -> tuple[float, float]:
         """Return angle and speed now [deg, deg/s], extrapolated to the present."""
         last = self.estimate
@@ -330,12 +344,11 @@ class RmdHwMotor:
             with suppress(LinkError):
                 self._greet()
         elif data and (data[0] in tuple(Command) or data[0] in (_RESET, 0xA6)):
-            self.motions.forget()
+            self.forget()
             self.drive.overheard(f"request {data[0]:02X}h", time_ns)
 
     def _lose(self) -> None:
-        self.motions.forget()
+        self.forget()
         self._doubts = True
         self.estimate = self.mode = self._mode_asked = None
         self._acceleration.clear()
-        self.drive.doubt()

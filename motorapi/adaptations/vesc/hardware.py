@@ -3,14 +3,14 @@
 A VESC has no profile generator, acknowledges no command, and reports neither its mode nor a fault
 in its status frames. So the host does three things at all times:
 
-- It streams every motion (`SetpointStream`). A position is an angle within `position_divider` turns
+- It streams every motion (`SetpointStream`). A position is an angle within `position_turns` turns
   of the motor; the controller takes the shorter way, so that small steps go on over many turns.
 - It asks for the fault. A fault clears itself after half a second; the host keeps it until
   `reset_fault`, so that no application misses it.
 - It sends ALIVE while it is the last commander, as the controller releases its motor otherwise.
 
 The position combines the angle (STATUS_4, fine, of few turns) and the tachometer (STATUS_5, coarse,
-of all turns since power-on).
+of all turns since power-on). At power-on it is 0 to a span of angles.
 
 Source: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
 """
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.motorapi.api import (
     CanDrive,
+    ControlVariable,
     Fault,
     LinkError,
     MotorError,
@@ -34,6 +35,7 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     StreamedMotion,
+    SyncOffer,
     UsageError,
     checked_node,
     number,
@@ -76,6 +78,7 @@ _VALUE: Final = Struct(">i")
 _STATUS_S: Final = 0.01  # least usual period of the status frames
 _PACKET_S: Final = 0.025  # of ALIVE, and of asking for the fault, in turns
 _CONNECT_S: Final = 3.0
+_NEAR: Final = 0.05  # turns: a position so little below a span is one below 0
 _FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is the wrong one
 _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
@@ -89,6 +92,13 @@ class Mode(IntEnum):
     BRAKE = 2
     SPEED = 3
     POSITION = 4
+
+
+MODES: Final = {
+    ControlVariable.POSITION: Mode.POSITION,
+    ControlVariable.VELOCITY: Mode.SPEED,
+    ControlVariable.CURRENT: Mode.CURRENT,
+}
 
 
 class Estimate(NamedTuple):
@@ -107,7 +117,7 @@ class VescOptions(Options):
         None, 0, 254, "", "Own id on the bus, of no other node; absent: 128 + node_id."
     )
     pole_pairs: int = whole(7, 1, 1000, "", "ERPM per rpm, as configured (motor poles / 2).")
-    position_divider: float = number(
+    position_turns: float = number(
         1.0, 0, 1e6, doc="Turns of the motor in 360 degrees of position.", above=True
     )
     erpm_min: float = number(900.0, 0, doc="Least ERPM of speed control, as configured.")
@@ -171,7 +181,7 @@ class VescHwMotor:
         self._firmware: tuple[int, int] | None = None
         self._velocity = 0.0
         self._angle: float | None = None
-        self._offset: float | None = None  # tachometer minus angle [turns], except whole spans
+        self._power_on: float | None = None  # position at power-on [turns], 0 to a span
         self._packet = b""
         self._since_ns = 0  # first frame since the drive was lost
         self._asks = self._is_known = False  # whether it was connected once
@@ -264,14 +274,20 @@ class VescHwMotor:
         self.motions.forget()
         return self.tell(Mode.CURRENT, 0.0)
 
-    def brake_anyway(self) -> SentFrame:
+    def stop_anyway(self) -> SentFrame:
         """Brake, whoever owns the motor."""
         data = self._encoded(Mode.BRAKE, self.options.brake_current_a)
         return self.drive.stop_command(Mode.BRAKE << 8 | self.node_id, data)
 
-    def sender(self, mode: Mode) -> "Callable[[float, BoundFence | None], SentFrame]":
-        """Return a function that sends a value in this mode, for `motions`."""
-        return partial(self.tell, mode)
+    def send(
+        self, variable: ControlVariable, value: float, fence: "BoundFence | None"
+    ) -> SentFrame:
+        """Send a set-point in turns, turns/s or A."""
+        return self.tell(MODES[variable], value, fence)
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point; all of them have 4 bytes."""
+        return self.drive.start_offer(Mode.POSITION << 8 | self.node_id, _VALUE.size)
 
     def measured(self) -> tuple[float, float]:
         """Return position and velocity now [turns, turns/s], extrapolated to the present."""
@@ -284,7 +300,7 @@ class VescHwMotor:
         """Return the number of a command for 1 of its value."""
         if mode is Mode.SPEED:
             return 60.0 * self.options.pole_pairs
-        return 360e6 / self.options.position_divider if mode is Mode.POSITION else 1e3
+        return 360e6 / self.options.position_turns if mode is Mode.POSITION else 1e3
 
     def _encoded(self, mode: Mode, value: float) -> bytes:
         raw = round(value * self.scale(mode))
@@ -349,16 +365,18 @@ class VescHwMotor:
 
     def _on_angle(self, data: bytes, time_ns: int) -> None:
         if len(data) == _ANGLE.size:
-            self._angle = _ANGLE.unpack(data)[0] / 18_000.0 * self.options.position_divider
+            self._angle = _ANGLE.unpack(data)[0] / 18_000.0 * self.options.position_turns
 
     def _on_tachometer(self, data: bytes, time_ns: int) -> None:
-        angle, span = self._angle, self.options.position_divider
+        angle, span = self._angle, self.options.position_turns
         if len(data) != _TACHOMETER.size or angle is None:
             return
         turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
-        if self._offset is None:
-            self._offset = turns - angle - span * round((turns - angle) / span)
-        position = angle + span * round((turns - self._offset - angle) / span)
+        if self._power_on is None:
+            self._power_on = (angle - turns) % span
+            if self._power_on > span - _NEAR:
+                self._power_on -= span
+        position = angle + span * round((self._power_on + turns - angle) / span)
         before = self.estimate
         if before is not None:
             possible = abs(self._velocity) + abs(before.velocity)
@@ -371,7 +389,7 @@ class VescHwMotor:
 
     def _check_following(self, position: float) -> None:
         """Stop a motion whose motor is so far behind that the controller would turn back."""
-        limit = _FOLLOW_MAX * self.options.position_divider
+        limit = _FOLLOW_MAX * self.options.position_turns
         if self.held is not None and abs(self.held - position) >= limit:
             self.fail(f"the motor is {limit:.3g} turns or more off its set-point")
 
@@ -379,7 +397,7 @@ class VescHwMotor:
         """Report a following error, and brake."""
         self._raise_fault(FOLLOWING_ERROR, problem)
         with suppress(MotorError):
-            self.brake_anyway()
+            self.stop_anyway()
 
     def _raise_fault(self, code: int, problem: str) -> None:
         self.fault = Fault(code, problem, self.drive.runtime.now_ns())
@@ -433,5 +451,5 @@ class VescHwMotor:
 
     def _lose(self) -> None:
         self.forget()
-        self._firmware = self._offset = self._angle = self.estimate = None
+        self._firmware = self._power_on = self._angle = self.estimate = None
         self.reports = 0

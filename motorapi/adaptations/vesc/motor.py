@@ -16,21 +16,23 @@ from dataclasses import dataclass, replace
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.vesc.hardware import NODE_ID_MAX, Mode, VescHwMotor, VescOptions
+from motorhil.motorapi.adaptations.vesc.hardware import (
+    MODES,
+    NODE_ID_MAX,
+    Mode,
+    VescHwMotor,
+    VescOptions,
+)
 from motorhil.motorapi.api import (
     REQUIRED,
-    ControlMode,
     ControlVariable,
-    DeviceFault,
-    Fault,
     Measurement,
     Motion,
     MotionKind,
-    Motor,
-    MotorBusyError,
     MotorModel,
     MotorState,
     Shared,
+    StreamedMotor,
     UsageError,
     adaptation,
     read_settings,
@@ -43,12 +45,6 @@ if TYPE_CHECKING:
 
     from motorhil.motorapi.api import Runtime
 
-_MODES: Final = {
-    ControlVariable.POSITION: Mode.POSITION,
-    ControlVariable.VELOCITY: Mode.SPEED,
-    ControlVariable.CURRENT: Mode.CURRENT,
-}
-_STILL: Final = 0.1  # [turns/s]
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
 _FAULT_STOP_S: Final = 2.0  # a fault clears itself after 0.5 s, unless its cause lasts
 _ASK_S: Final = 0.05
@@ -65,7 +61,7 @@ class VescTable(VescOptions):
 
 
 @final
-class VescMotor(Motor):
+class VescMotor(StreamedMotor[VescHwMotor]):
     """A logical motor on a VESC; several of them may share one hardware object.
 
     Args:
@@ -86,76 +82,42 @@ class VescMotor(Motor):
         name: str | None = None,
         on_close: Callable[[], None] | None = None,
     ) -> None:
-        drive = hardware.drive
-        super().__init__(
-            name=name,
-            model=model,
-            runtime=drive.runtime,
-            physical=drive.physical,
-            on_close=on_close,
-        )
+        is_rotary = model.kind is MotionKind.ROTARY
         if model.gear_ratio is None:
-            key = "gear_ratio" if model.kind is MotionKind.ROTARY else "motor_turns_per_m"
+            key = "gear_ratio" if is_rotary else "motor_turns_per_m"
             raise UsageError(
                 f"motor model {model.name}: {key} is missing, and a VESC counts turns of the"
                 f" motor; expected {key} = 1.0 if there is no gear; add it"
             )
-        self._hardware = hardware
-        self._turns: Final = model.gear_ratio / (tau if model.kind is MotionKind.ROTARY else 1.0)
-
-    @property
-    def hardware(self) -> VescHwMotor:
-        """The controller, with all its abilities."""
-        return self._hardware
-
-    # --- the six that make a motor
-
-    def _connect(self) -> None:
-        self._hardware.connect()
+        turns = model.gear_ratio / (tau if is_rotary else 1.0)
+        super().__init__(hardware, model, turns, name=name, on_close=on_close)
 
     def _latest(self) -> Measurement | None:
-        hardware, last = self._hardware, self._hardware.estimate
+        hardware, last = self.hardware, self.hardware.estimate
         if last is None:
             return None
         is_off = hardware.motions.variable is None
         state = MotorState.DISABLED if is_off else MotorState.ENABLED
         if hardware.fault is not None:
             state = MotorState.FAULT
-        position, velocity = last.position / self._turns, last.velocity / self._turns
+        position, velocity = last.position / self._units, last.velocity / self._units
         return Measurement(last.time_ns, state, position, velocity)
 
     def _enable(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         self._check_fault()
         if hardware.motions.variable is not None:
             return  # it holds, after a quick stop
-        sender = hardware.sender(Mode.POSITION)
-        hardware.drive.confirm(hardware.motions.hold(hardware.measured(), sender))
+        self._hold()
         hardware.read_fault()
         self._check_fault()
 
     def _disable(self) -> None:
-        self._hardware.drive.confirm(self._hardware.release())
+        self.hardware.drive.confirm(self.hardware.release())
 
     def _command(self, motion: Motion) -> None:
         self._check_speed(motion)
-        hardware, scale = self._hardware, self._scale(motion.variable)
-        sender = hardware.sender(_MODES[motion.variable])
-        sent = hardware.motions.start(motion, scale, hardware.measured(), sender)
-        hardware.drive.confirm(sent)
-
-    def _stop(self) -> None:
-        hardware = self._hardware
-        if hardware.motions.variable is None:
-            last = hardware.estimate
-            if last is not None and abs(last.velocity) > _STILL:
-                hardware.brake_anyway()
-            return
-        slower = self._physical.stop_deceleration(self.model.deceleration) * abs(self._turns)
-        try:
-            hardware.motions.stop(slower, hardware.measured(), hardware.sender(Mode.POSITION))
-        except MotorBusyError:  # another program has the motor
-            hardware.brake_anyway()
+        super()._command(motion)
 
     def _check_speed(self, motion: Motion) -> None:
         """Refuse speeds that the controller cannot follow.
@@ -163,19 +125,19 @@ class VescMotor(Motor):
         Raises:
             UsageError: too fast for streamed positions, or too slow for speed control.
         """
-        own = self._hardware.options
+        own = self.hardware.options
         if motion.variable is ControlVariable.POSITION:
             ahead_s = (own.lead_ms + own.stream_period_ms) / 1e3
-            most = _SPAN_MAX * own.position_divider / (ahead_s * abs(self._turns))
+            most = _SPAN_MAX * own.position_turns / (ahead_s * abs(self._units))
             if motion.velocity > most:
                 raise UsageError(
                     f"{self.name}: a velocity of {motion.velocity:.4g} per s is too high for"
-                    f" positions; expected at most {most:.4g} with position_divider ="
-                    f" {own.position_divider:g}, as the controller takes the shorter way;"
-                    " move slower, or configure a larger divider"
+                    f" positions; expected at most {most:.4g} with position_turns ="
+                    f" {own.position_turns:g}, as the controller takes the shorter way;"
+                    " move slower, or configure a larger span"
                 )
         elif motion.variable is ControlVariable.VELOCITY:
-            erpm = round(abs(motion.target * self._turns) * self._hardware.scale(Mode.SPEED))
+            erpm = round(abs(motion.target * self._units) * self.hardware.scale(Mode.SPEED))
             if 0 < erpm < own.erpm_min:
                 raise UsageError(
                     f"{self.name}: a velocity of {motion.target:.4g} per s is {erpm} ERPM;"
@@ -185,21 +147,12 @@ class VescMotor(Motor):
 
     # --- capabilities
 
-    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
-        return variable in _MODES
-
-    def _scale(self, variable: ControlVariable) -> float:
-        return 1.0 if variable is ControlVariable.CURRENT else self._turns
-
     def _quantise(self, motion: Motion) -> Motion:
-        step = self._scale(motion.variable) * self._hardware.scale(_MODES[motion.variable])
+        step = self._scale(motion.variable) * self.hardware.scale(MODES[motion.variable])
         return replace(motion, target=round(motion.target * step) / step)
 
-    def _read_fault(self) -> Fault | None:
-        return self._hardware.fault
-
     def _reset_fault(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         end_ns = self.runtime.now_ns() + round(_FAULT_STOP_S * 1e9)
         while hardware.read_fault() and self.runtime.now_ns() < end_ns:
             self.runtime.wait_until(lambda: False, _ASK_S)
@@ -207,43 +160,17 @@ class VescMotor(Motor):
             hardware.fault = None
         self._check_fault()
 
-    def _check_fault(self) -> None:
-        fault = self._hardware.fault
-        if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
-
     def _is_done(self) -> bool:
-        hardware, motions = self._hardware, self._hardware.motions
-        is_over = super()._is_done()
-        if motions.error is not None:
-            raise motions.error
-        if motions.is_going:
-            return False
-        if not is_over and hardware.held is not None and motions.since_end_s > _ARRIVAL_S:
+        hardware, is_over = self.hardware, super()._is_done()
+        is_late = not hardware.motions.is_going and hardware.motions.since_end_s > _ARRIVAL_S
+        if not is_over and hardware.held is not None and is_late:
             window = f"{self.model.start_tolerance:.3g} {self.model.unit}"
             hardware.fail(f"the motor did not reach its target within {window}")
             self._check_fault()
         return is_over
 
-    def _read_reference(self) -> float:
-        motions = self._hardware.motions
-        if motions.variable is not ControlVariable.POSITION:
-            return self._read_position()
-        return motions.now(ControlVariable.POSITION, self._hardware.measured())[0] / self._turns
-
     def _position_source(self) -> str:
         return "angle of STATUS_4 (10h) with the turns of STATUS_5 (1Bh)"
-
-    # --- the hardware itself
-
-    def _open_low_level(self) -> VescHwMotor:
-        self._hardware.motions.forget()
-        return self._hardware
-
-    def _close_low_level(self) -> None:
-        self._hardware.forget()
 
 
 _SHARED: Final[Shared[VescHwMotor]] = Shared("VESC")

@@ -31,6 +31,7 @@ HELD = {
     "dynamixel": {"limit-velocity"},
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
+    "mit": {"limit-velocity"},
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
     "rmd": {"limit-velocity"},

@@ -20,14 +20,14 @@ from motorhil.motorapi.model import MotorModel
 MODEL = "velocity_max_rad_s = 2.0\nacceleration_max_rad_s2 = 4.0\n"
 
 
-def opened(drive=""):
+def opened(drive="", model=""):
     """Return a rig of one RMD."""
     text = (
         "bus.can0.bitrate_bit_s = 1_000_000\n"
         f'[controller.left]\nkind = "rmd"\nbus = "can0"\nnode_id = 1\n{drive}\n'
         'plant = { preset = "wheel_60w" }\n'
         '[motor.left]\nadaptation = "rmd"\ncontroller = "left"\n'
-        f"[motor.left.model]\n{MODEL}"
+        f"[motor.left.model]\n{MODEL}{model}"
     )
     return Rig(parse_rig(Source(Path("rmd.toml"), text), installed_plugins()))
 
@@ -110,6 +110,15 @@ def test_position_goes_on_over_turns():
         motor.wait_until_done(timeout_s=15)
         assert true(rig) == pytest.approx(20.0, abs=0.003)
         assert motor.position() == pytest.approx(20.0, abs=0.003)
+
+
+def test_negative_gear_ratio_reverses():
+    with opened(model="gear_ratio = -1.0") as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 1.0)
+        motor.wait_until_done(timeout_s=5)
+        assert true(rig) == pytest.approx(-1.0, abs=0.003)
+        assert motor.position() == pytest.approx(1.0, abs=0.003)
 
 
 def test_motor_that_never_answers_is_a_lost_link():

@@ -30,8 +30,14 @@ acceleration_max_rad_s2 = 4.0
 gear_ratio = {}
 position_tolerance_rad = {}
 """
-WIDE = "position_divider = 8.0\nerpm_min = 10.0"
-GAINS = f"status_1 = 25\n{WIDE}\nposition_kp = 0.2\nposition_kd = 0.0028\nerpm_ramp_s = 100_000.0"
+WIDE = "position_turns = 8.0\nerpm_min = 10.0"
+GAINS = """\
+status_1 = 25
+position_divider = 8.0
+position_kp = 0.2
+position_kd = 0.0028
+erpm_min = 10.0
+erpm_ramp_s = 100_000.0"""
 
 
 def opened(drive=GAINS, motor=WIDE, node=23, velocity=2.0, gear=66.0, within=0.01):
@@ -183,7 +189,7 @@ def test_velocity_below_erpm_min_is_refused():
 def test_position_too_fast_for_the_shorter_way_is_refused():
     with opened("status_1 = 25", "") as rig, pytest.raises(UsageError) as error:
         go_to(rig.motors["left"], 1.0)
-    assert "expected at most 1.771 with position_divider = 1" in str(error.value)
+    assert "expected at most 1.771 with position_turns = 1" in str(error.value)
 
 
 @pytest.mark.parametrize(("node", "motor"), [(127, ""), (5, "host_id = 5")])

@@ -1,0 +1,177 @@
+"""The logical motor of a drive on CAN that makes no profiles: `StreamedMotion` and the hooks.
+
+An adaptation derives its motor, and adds units, power and the reset of a fault. Its hardware object
+sends single set-points.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
+
+from motorhil.motorapi.commands import ControlMode, ControlVariable
+from motorhil.motorapi.errors import DeviceFault, MotorBusyError
+from motorhil.motorapi.motor import Motor
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.api.can_drive import CanDrive
+    from motorhil.motorapi.api.streamed_motion import StreamedMotion
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.motion import Motion
+    from motorhil.motorapi.ownership.fencing import BoundFence
+    from motorhil.motorapi.runtime.can_link import Transmission
+    from motorhil.motorapi.state import Fault
+    from motorhil.motorapi.synchronization.offer import SyncOffer
+    from motorhil.motorapi.synchronization.quality import MotionTimes
+
+_SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY, ControlVariable.CURRENT)
+
+
+class StreamedHardware(Protocol):
+    """The hardware object of such a drive; values in units of the drive."""
+
+    @property
+    def drive(self) -> "CanDrive":
+        """Its connection."""
+
+    @property
+    def motions(self) -> "StreamedMotion":
+        """The motion that is streamed to it."""
+
+    @property
+    def fault(self) -> "Fault | None":
+        """Its fault until it is reset, or None."""
+
+    def connect(self) -> None:
+        """Wait until the drive is heard; free if it is."""
+
+    def measured(self) -> tuple[float, float]:
+        """Return position and velocity, extrapolated to the present."""
+
+    def send(
+        self, variable: ControlVariable, value: float, fence: "BoundFence | None"
+    ) -> "Transmission":
+        """Send a set-point, only while this program owns the motor."""
+
+    def start_offer(self) -> "SyncOffer":
+        """Return the offer of a start by the first set-point."""
+
+    def stop_anyway(self) -> object:
+        """Stop by one frame, whoever owns the motor."""
+
+    def forget(self) -> None:
+        """Forget what the drive was told."""
+
+
+HardwareT = TypeVar("HardwareT", bound=StreamedHardware)
+
+
+class StreamedMotor(Motor, Generic[HardwareT]):
+    """A logical motor whose motions the host streams; several may share one hardware object.
+
+    Args:
+        hardware: the hardware object.
+        model: the motor's constants.
+        units: units of position of the drive per unit of the model, signed.
+        name: its name in messages and records; None: the model's name and the drive's place.
+        on_close: called once when the motor is closed. The hardware object belongs to its creator.
+
+    Attributes:
+        hardware: the hardware object, with all abilities of the drive.
+    """
+
+    def __init__(
+        self,
+        hardware: HardwareT,
+        model: "MotorModel",
+        units: float,
+        *,
+        name: str | None = None,
+        on_close: Callable[[], None] | None = None,
+    ) -> None:
+        drive = hardware.drive
+        super().__init__(
+            name=name,
+            model=model,
+            runtime=drive.runtime,
+            physical=drive.physical,
+            on_close=on_close,
+        )
+        self.hardware: Final = hardware
+        self._units: Final = units
+
+    def _scale(self, variable: ControlVariable) -> float:
+        """Return units of the drive per unit of this variable."""
+        return 1.0 if variable is ControlVariable.CURRENT else self._units
+
+    def _check_fault(self) -> None:
+        fault = self.hardware.fault
+        if fault is not None:
+            raise DeviceFault(
+                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
+            )
+
+    def _hold(self) -> None:
+        """Hold the present position; return when the command is on the bus."""
+        hardware = self.hardware
+        sender = partial(hardware.send, ControlVariable.POSITION)
+        hardware.drive.confirm(hardware.motions.hold(hardware.measured(), sender))
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return variable in _SUPPORTED
+
+    def _connect(self) -> None:
+        self.hardware.connect()
+
+    def _command(self, motion: "Motion") -> None:
+        hardware, variable = self.hardware, motion.variable
+        sender = partial(hardware.send, variable)
+        scale = self._scale(variable)
+        hardware.drive.confirm(hardware.motions.start(motion, scale, hardware.measured(), sender))
+
+    def _stop(self) -> None:
+        hardware = self.hardware
+        if hardware.motions.variable is None:
+            if not self._rests():
+                hardware.stop_anyway()
+            return
+        slower = self._physical.stop_deceleration(self.model.deceleration) * abs(self._units)
+        sender = partial(hardware.send, ControlVariable.POSITION)
+        try:
+            hardware.motions.stop(slower, hardware.measured(), sender)
+        except MotorBusyError:  # another program has the motor
+            hardware.stop_anyway()
+
+    def _rests(self) -> bool:
+        """Return True if a motor that nobody commands need not be stopped."""
+        latest = self._latest()
+        return latest is None or not latest.velocity
+
+    def _sync_offer(self) -> "SyncOffer":
+        return self.hardware.start_offer()
+
+    def _motion_times(self) -> "MotionTimes | None":
+        return self.hardware.motions.times()
+
+    def _read_fault(self) -> "Fault | None":
+        return self.hardware.fault
+
+    def _read_reference(self) -> float:
+        hardware = self.hardware
+        if hardware.motions.variable is not ControlVariable.POSITION:
+            return self._read_position()
+        position, _ = hardware.motions.now(ControlVariable.POSITION, hardware.measured())
+        return position / self._units
+
+    def _is_done(self) -> bool:
+        motions = self.hardware.motions
+        is_over = super()._is_done()
+        if motions.error is not None:
+            raise motions.error
+        return is_over and not motions.is_going
+
+    def _open_low_level(self) -> HardwareT:
+        self.hardware.motions.forget()
+        return self.hardware
+
+    def _close_low_level(self) -> None:
+        self.hardware.forget()
