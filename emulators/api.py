@@ -33,6 +33,7 @@ from motorhil.emulators.controller import (
 from motorhil.emulators.firmware import flags
 from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
+from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.motor_drive import MotorDrive
 from motorhil.emulators.plant.dc_motor import RANGES
 from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
@@ -90,5 +91,6 @@ __all__ = [
     "table",
     "text",
     "whole",
+    "with_crc",
     "word",
 ]

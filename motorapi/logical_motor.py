@@ -239,10 +239,12 @@ class LogicalMotor:
         with self.physical.passage(self.name):
             pause_s = self.hooks.refresh()
             run = self.run
-            if run is None or run.is_over or not self.coasts(run):
-                return pause_s
-            self._see_coasting(self.hooks.read_position(), self.runtime.now_ns())
-            return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
+            if run is not None and not run.is_over and self.coasts(run):
+                self._see_coasting(self.hooks.read_position(), self.runtime.now_ns())
+                return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
+        if pause_s is not None and self.physical.news is not None:
+            self.physical.news.grow()  # its frames were counted before `_refresh` evaluated them
+        return pause_s
 
     def coasts(self, run: ActiveMotion) -> bool:
         """Return True if `run` is the last stop, without power, and rest was not found yet."""

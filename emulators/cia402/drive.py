@@ -424,6 +424,10 @@ class Cia402Drive:
         """Return the present units of its objects."""
         return self._objects.units
 
+    def is_homed(self) -> bool:
+        """Return whether a homing has attained its home position since power-on."""
+        return self._power_drive.is_homed()
+
     # --- Controller
 
     def start(self, now_ns: int) -> None:

@@ -12,7 +12,7 @@ from motorhil.emulators.cia402.faults import FOLLOWING_ERROR, UNDER_VOLTAGE, Sta
 from motorhil.emulators.cia402.limit_switches import LimitGuard
 from motorhil.emulators.cia402.modes.base import Mode
 from motorhil.emulators.cia402.modes.cyclic import CyclicPosition, CyclicTorque, CyclicVelocity
-from motorhil.emulators.cia402.modes.homing import Homing
+from motorhil.emulators.cia402.modes.homing import Homing, HomingState
 from motorhil.emulators.cia402.modes.interpolated_position import InterpolatedPosition
 from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
 from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorque, ProfileVelocity
@@ -226,6 +226,10 @@ class PowerDrive:
                 self._take(14, now_ns)
         elif state is not PdsState.FAULT:
             self._react(code, now_ns)
+
+    def is_homed(self) -> bool:
+        """Return whether home was attained."""
+        return self._homing.state is HomingState.ATTAINED
 
     def lose_reference(self) -> None:
         """Discard the home position."""

@@ -122,10 +122,26 @@ def indirect_blocks(model: Model, firmware: int) -> tuple[tuple[int, int, int], 
 
 def items_of(model: Model, firmware: int) -> tuple[Item, ...]:
     """Return the control table of a model with this firmware, by address."""
+    rows = [*_eeprom(model, firmware), *_ram(model)]
+    blocks = indirect_blocks(model, firmware)
+    end = blocks[-1][1] + blocks[-1][2] - 1
+    number = 0
+    for address, data, count in blocks:
+        for n in range(count):
+            number += 1
+            named = f"indirect_address_{number}"
+            rows.append(Item(address + 2 * n, 2, named, data + n, RAM, end))
+            rows.append(Item(data + n, 1, f"indirect_data_{number}", 0, 0, 255))
+    return tuple(sorted(rows))
+
+
+def _speed_max(model: Model) -> int:
+    return 2047 if model.is_x330 else 1023
+
+
+def _eeprom(model: Model, firmware: int) -> list[Item]:
     low_v, _, high_v = model.voltage
-    pwm, amps, speed = PWM_MAX, model.current, 2047 if model.is_x330 else 1023
-    gains = dict(zip(GAINS, model.gains, strict=True))
-    profile_max, goal_max = 32_767, (1 << 31) - 1
+    pwm, amps = PWM_MAX, model.current
     rows = [
         Item(0, 2, "model_number", model.number),
         Item(2, 4, "model_information"),
@@ -143,11 +159,24 @@ def items_of(model: Model, firmware: int) -> tuple[Item, ...]:
         Item(32, 2, "max_voltage_limit", high_v, low_v, high_v),
         Item(34, 2, "min_voltage_limit", low_v, low_v, high_v),
         Item(36, 2, "pwm_limit", pwm, 0, pwm),
-        Item(44, 4, "velocity_limit", model.velocity, 0, speed),
+        Item(44, 4, "velocity_limit", model.velocity, 0, _speed_max(model)),
         Item(48, 4, "max_position_limit", TURN - 1, 0, TURN - 1),
         Item(52, 4, "min_position_limit", 0, 0, TURN - 1),
         Item(60, 1, "startup_configuration", 0, 0, 3),
         Item(63, 1, "shutdown", model.shutdown, 0, 0x3D),
+    ]
+    if amps:
+        rows += [Item(38, 2, "current_limit", amps, 0, amps)]
+    if model.is_x330:
+        rows += [Item(62, 1, "pwm_slope", model.pwm_slope, 1, 255)]
+    return rows
+
+
+def _ram(model: Model) -> list[Item]:
+    pwm, amps, speed = PWM_MAX, model.current, _speed_max(model)
+    gains = dict(zip(GAINS, model.gains, strict=True))
+    profile_max, goal_max = 32_767, (1 << 31) - 1
+    rows = [
         Item(64, 1, "torque_enable", 0, 0, 1),
         Item(65, 1, "led", 0, 0, 1),
         Item(68, 1, "status_return_level", 2, 0, 2),
@@ -176,17 +205,5 @@ def items_of(model: Model, firmware: int) -> tuple[Item, ...]:
         Item(147, 1, "backup_ready"),
     ]
     if amps:
-        rows += [Item(38, 2, "current_limit", amps, 0, amps)]
         rows += [Item(102, 2, "goal_current", amps, -amps, amps)]
-    if model.is_x330:
-        rows += [Item(62, 1, "pwm_slope", model.pwm_slope, 1, 255)]
-    blocks = indirect_blocks(model, firmware)
-    end = blocks[-1][1] + blocks[-1][2] - 1
-    number = 0
-    for address, data, count in blocks:
-        for n in range(count):
-            number += 1
-            named = f"indirect_address_{number}"
-            rows.append(Item(address + 2 * n, 2, named, data + n, RAM, end))
-            rows.append(Item(data + n, 1, f"indirect_data_{number}", 0, 0, 255))
-    return tuple(sorted(rows))
+    return rows

@@ -72,6 +72,7 @@ _FAMILIES: Final = (  # PWM [Hz], voltage [V], current [A], temperature [degC]: 
 )
 _LEAST_ACCELERATION: Final = 1e-9  # in place of 0, with which a motion never ends
 _MANY: Final = 1e9
+_GAINS, _SPEEDS, _TIMES, _VOLTS = (1e-4, 1e4), (1e-3, 1e4), (1e-3, 60.0), (8.0, 100.0)  # plausible
 
 
 @final
@@ -93,9 +94,11 @@ class MoteusTable(MotorTable):
         False, "An absolute encoder at the output; without one, power-off loses whole turns."
     )
     kp_n_m_rev: float | None = number(
-        None, 0, _MANY, "N·m/rev", "Gain kp; absent: of the rig's servo."
+        None, 0, _MANY, "N·m/rev", "Gain kp; absent: of the rig's servo.", plausible=_GAINS
     )
-    kd_n_m_s_rev: float = number(0.05, 0, _MANY, "N·m·s/rev", "Gain kd, with kp.", above=True)
+    kd_n_m_s_rev: float = number(
+        0.05, 0, _MANY, "N·m·s/rev", "Gain kd, with kp.", above=True, plausible=_GAINS
+    )
     position_min_rev: float | str = number(
         -0.01, -_MANY, _MANY, "rev", "Least position; none: no limit.", word="none"
     )
@@ -103,21 +106,42 @@ class MoteusTable(MotorTable):
         0.01, -_MANY, _MANY, "rev", "Largest position; none: no limit.", word="none"
     )
     default_velocity_limit_rev_s: float | None = number(
-        None, 0, _MANY, "rev/s", "Velocity limit if a command has none."
+        None, 0, _MANY, "rev/s", "Velocity limit if a command has none.", plausible=_SPEEDS
     )
     default_accel_limit_rev_s2: float | str = number(
-        50.0, 0, _MANY, "rev/s²", "Likewise; none: of older firmware.", word="none", above=True
+        50.0,
+        0,
+        _MANY,
+        "rev/s²",
+        "Likewise; none: of older firmware.",
+        word="none",
+        above=True,
+        plausible=_SPEEDS,
     )
-    default_timeout_s: float = number(0.1, 0, 3600, "s", "The watchdog.", above=True)
+    default_timeout_s: float = number(
+        0.1, 0, 3600, "s", "The watchdog.", above=True, plausible=_TIMES
+    )
     timeout_mode: int = whole(
         ZERO_VELOCITY, 0, 15, "", "After it: 0 off, 10 to rest, 12 zero velocity, 15 brake."
     )
-    timeout_max_torque_n_m: float = number(5.0, 0, _MANY, "N·m", "Torque in mode 12.")
-    max_velocity_rev_s: float = number(500.0, 0, _MANY, "rev/s", "Velocity limit.", above=True)
-    max_current_a: float | None = number(None, 0, _MANY, "A", "Absent: of the family.")
-    max_voltage_v: float | None = number(None, 0, _MANY, "V", "Absent: of the family.")
-    fault_position_error_rev: float | None = number(None, 0, _MANY, "rev", "Absent: no limit.")
-    fault_velocity_error_rev_s: float | None = number(None, 0, _MANY, "rev/s", "Absent: no limit.")
+    timeout_max_torque_n_m: float = number(
+        5.0, 0, _MANY, "N·m", "Torque in mode 12.", plausible=_GAINS
+    )
+    max_velocity_rev_s: float = number(
+        500.0, 0, _MANY, "rev/s", "Velocity limit.", above=True, plausible=_SPEEDS
+    )
+    max_current_a: float | None = number(
+        None, 0, _MANY, "A", "Absent: of the family.", plausible=_GAINS
+    )
+    max_voltage_v: float | None = number(
+        None, 0, _MANY, "V", "Absent: of the family.", plausible=_VOLTS
+    )
+    fault_position_error_rev: float | None = number(
+        None, 0, _MANY, "rev", "Absent: no limit.", plausible=_SPEEDS
+    )
+    fault_velocity_error_rev_s: float | None = number(
+        None, 0, _MANY, "rev/s", "Absent: no limit.", plausible=_SPEEDS
+    )
 
 
 @final

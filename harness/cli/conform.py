@@ -362,7 +362,7 @@ def _print_summary(outcome: "Outcome") -> None:
     if outcome.claims is not None:
         print(f"claimed: {listed(outcome.claimed)}")
         if outcome.assumed:
-            print(f"assumed, unless the rig denies it: {listed(outcome.assumed)}")
+            print(f"assumed, unless [conformance.without] denies it: {listed(outcome.assumed)}")
     reasons: dict[str, list[str]] = {}
     for one in outcome.findings:
         if one.verdict.result is Result.NOT_APPLICABLE:

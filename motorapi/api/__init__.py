@@ -46,7 +46,7 @@ from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
-from motorhil.motorapi.runtime.api import Runtime, wait_until
+from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
 from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
@@ -58,7 +58,7 @@ from motorhil.motorapi.trajectory import (
     TrapezoidalTrajectory,
     asks_for_smoothness,
 )
-from motorhil.settings import REQUIRED, number, text, whole, word
+from motorhil.settings import REQUIRED, SettingError, number, text, whole, word
 
 __all__ = [
     "BOOT_S",
@@ -98,10 +98,12 @@ __all__ = [
     "PolledMotor",
     "ProcessLock",
     "Ramps",
+    "Registration",
     "Runtime",
     "SentFrame",
     "Setpoint",
     "SetpointStream",
+    "SettingError",
     "Shared",
     "SignOfLife",
     "StateError",

@@ -135,6 +135,7 @@ class CanDrive:
         self._fd: Final = fd
         self._handlers: Final[dict[int, FrameHandler]] = {}
         self._signs: Final[list[SignOfLife]] = []
+        self._heard: tuple[bytes, int] | None = None  # the last frame, and its time
         self._told: Final[dict[Hashable, object]] = {}
         self._told_token = -1
         self._connecting: Final = TurnLock(self.runtime)
@@ -196,6 +197,7 @@ class CanDrive:
         """
 
         def hear(frame: bytes, time_ns: int) -> None:
+            self._heard = frame, time_ns
             handler(frame[_DATA_AT : _DATA_AT + frame[4]], time_ns)
             if is_news:
                 self.news.grow()
@@ -362,7 +364,7 @@ class CanDrive:
         raise DeadlineExceeded(
             awaited=f"{self.label}: {awaited}",
             timeout_s=timeout_s,
-            last_heard=status.trouble() or "nothing",
+            last_heard=status.trouble() or self._last_heard(),
         )
 
     def confirm(self, sent: SentFrame, timeout_s: float = 0.5) -> int:
@@ -450,6 +452,15 @@ class CanDrive:
         self.check_open()
         word = can_id | self._flag | (0 if remote is None else _REMOTE)
         return self._link.send_tracked(pack(word, data, flags=flags, remote=remote), fence)
+
+    def _last_heard(self) -> str:
+        """Return the last frame that was passed on, in words."""
+        if self._heard is None:
+            return "nothing"
+        frame, time_ns = self._heard
+        can_id = int.from_bytes(frame[:4], "little") & ~(_EXTENDED | _REMOTE)
+        data = frame[_DATA_AT : _DATA_AT + frame[4]].hex(" ") or "no data"
+        return f"{can_id:03X}h with {data} at {time_ns / 1e9:.6f} s"
 
     def _look(self, sign: SignOfLife) -> None:
         if sign.has_just_ended(self.runtime.now_ns()):

@@ -47,7 +47,6 @@ AnswerT = TypeVar("AnswerT")
 _SILENT_NS: Final = 2_000_000_000  # since an unanswered request: the TCP connection is broken
 _LOCKED_NS: Final = 1_000_000
 _AT_ONCE_S: Final = 1e-9
-_QUARANTINE_NS: Final = 500_000_000
 _PATIENCE_NS: Final = 2_000_000_000  # for the line, of a waiting caller
 _URGENT_NS: Final = 100_000_000  # for silence, of a posted request
 
@@ -180,9 +179,11 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         reconnections: the number of connections made in place of broken ones.
         users: the number of hardware objects that use the line.
         HAS_SILENCES: whether the protocol separates its frames by silences of the line.
+        QUARANTINE_NS: maximum duration of a quarantine.
     """
 
     HAS_SILENCES: ClassVar[bool] = True
+    QUARANTINE_NS: ClassVar[int] = 500_000_000
 
     def __init__(self, line: ByteLine, runtime: Runtime, lock: "ProcessLock | None") -> None:
         self.line: Final = line
@@ -268,11 +269,19 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         unit: int,
         timeout_s: float,
         on_over: "Callable[[Exchange[RequestT, AnswerT]], None] | None" = None,
+        *,
+        urgent: bool = True,
     ) -> Exchange[RequestT, AnswerT]:
-        """Queue a request before all waiting ones, without waiting; callbacks may call it."""
+        """Queue a request without waiting, before all waiting ones if it is urgent.
+
+        Callbacks may call it.
+        """
         exchange: Exchange[RequestT, AnswerT] = Exchange(request, unit, timeout_s, on_over=on_over)
-        exchange.asked_ns, exchange.is_posted = self.runtime.now_ns(), True
-        self._queue.appendleft(exchange)
+        exchange.asked_ns, exchange.is_posted = self.runtime.now_ns(), urgent
+        if urgent:
+            self._queue.appendleft(exchange)
+        else:
+            self._queue.append(exchange)
         self._once(_AT_ONCE_S, self._go_on)
         return exchange
 
@@ -466,7 +475,7 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
             self._is_broken = is_silent or self._reader.is_inside
         else:
             self._owed.append(exchange)
-            self._owed_until_ns = self.runtime.now_ns() + _QUARANTINE_NS
+            self._owed_until_ns = self.runtime.now_ns() + self.QUARANTINE_NS
         self._end(exchange, None, error)
 
     def _end(

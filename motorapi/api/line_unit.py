@@ -193,10 +193,12 @@ class LineUnit(ABC, Generic[RequestT, AnswerT]):
         self,
         request: RequestT,
         on_over: Callable[[Exchange[RequestT, AnswerT]], None] | None = None,
+        *,
+        urgent: bool = True,
     ) -> Exchange[RequestT, AnswerT]:
-        """Send a request without waiting and without owning the motor: for stops."""
+        """Send a request without waiting and without owning the motor: for stops, if urgent."""
         self._require_open()
-        return self.line.post(request, self.unit, self.timeout_s, on_over)
+        return self.line.post(request, self.unit, self.timeout_s, on_over, urgent=urgent)
 
 
 def _is_lost(error: MotorError) -> bool:

@@ -203,7 +203,8 @@ class PolledMotor(Motor, Generic[HardwareT]):
         state = self.hardware.progress
         moves = motion.variable is ControlVariable.POSITION
         state.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY
-        state.armed_at = motion.target
+        rounded = motion if moves else self.hardware.quantised(motion, self.model)
+        state.armed_at = rounded.target  # of a velocity, what the drive can make of almost 0
         before = 0.0 if state.poll is None else state.poll.velocity
         state.armed_s = 0.0 if moves else _ramp_s(motion, before)
         return _PolledTrigger(self)

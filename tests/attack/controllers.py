@@ -8,7 +8,7 @@ compiled cores must have the same one.
 import hashlib
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from random import Random
@@ -24,6 +24,10 @@ from motorhil.emulators.dynamixel.servo import Servo
 from motorhil.emulators.dynamixel.servo import build as build_servo
 from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
 from motorhil.emulators.media.byte_pipe import BytePipe
+from motorhil.emulators.mit.classical import build as build_mit
+from motorhil.emulators.mit.robstride import build as build_robstride
+from motorhil.emulators.mit.settings import MODELS as MIT_MODELS
+from motorhil.emulators.mit.settings import ROBSTRIDES
 from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.modbus.tcp import adu
 from motorhil.emulators.moteus.drive import build as build_moteus
@@ -52,6 +56,12 @@ REPLY_BY_NS: Final = 50 * MS
 _PAUSES_NS: Final = (0, 0, 1, 300_000, 2 * MS, 5 * MS, 20 * MS)
 _FUNCTIONS: Final = (0x03, 0x03, 0x06, 0x06, 0x10, 0x10, 0x17, 0x08, 0x2B, 0x01, 0x04)
 _VALUES: Final = tuple(one.to_bytes(2) for one in (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF))
+_MIT_FRAMES: Final = (
+    *(b"\xff" * 7 + bytes((code,)) for code in (0xFC, 0xFD, 0xFE, 0xFB, 0xFF)),
+    *(bytes((NODE, 0, code, one, 0, 0, 0x80, 0x3F)) for code in (0x33, 0x55) for one in (9, 21)),
+    bytes((NODE, 0, 0xCC, 0, 0, 0, 0, 0)),
+    *(bytes.fromhex(f"{i}7000000000C03F") for i in ("05", "06", "0A", "16", "17", "18", "19")),
+)
 _INPUTS: Final = (
     *(("fault", 0x2310), ("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", 0.0)),
     *(("supply_v", 24.0), ("supply_v", 5.0), ("power", 0.0), ("power", 1.0), ("encoder", 0.0)),
@@ -222,6 +232,34 @@ def attack_moteus(seed: str) -> Done:
     bare.sent.clear()
     bare.tell(pack(EFF_FLAG | 0x8000 | NODE, bytes.fromhex("1100")))
     assert [data_of(one) for one in bare.sent] == [bytes.fromhex("210000")]
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
+def attack_mit(build: Callable[..., Controller], models: Sequence[str], seed: str) -> Done:
+    """Send commands, special codes and parameters to a drive; then stop it and read its state."""
+    dice = Random(seed)
+    model = dice.choice(models)
+    is_long = model in ROBSTRIDES
+    table = {"node_id": NODE, "model": model, "plant": LIGHT, "watchdog_s": 0.01}
+    bare = Bare(build(table, _context()))
+    kinds = (1, 1, 1, 3, 3, 4, 6, 0, 17, 18, 18, 2, 21)
+    for _ in range(EPISODE):
+        bare.run(dice.choice(_PAUSES_NS))
+        if dice.random() < 0.01:
+            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 2.0), ("fault", 10.0))))
+        data = damaged(dice, dice.choice((dice.randbytes(8), dice.choice(_MIT_FRAMES))))[:8]
+        can_id = dice.choice((NODE, NODE, NODE, 0x7FF, 0))
+        if is_long and dice.random() < 0.95:
+            can_id = EFF_FLAG | dice.choice(kinds) << 24 | dice.randrange(1 << 16) << 8 | can_id & 7
+        bare.tell(pack(can_id, data))
+    reached = Counter(answers=len(bare.sent))
+    bare.stimulate("power", 0.0)
+    bare.stimulate("power", 1.0)
+    bare.run(3_000 * MS)
+    bare.sent.clear()
+    number = getattr(bare.controller, "node_id", NODE)  # a frame may have changed it
+    bare.tell(pack(EFF_FLAG | 0x400AA00 | number if is_long else NODE, _MIT_FRAMES[1]))
+    assert len(bare.sent) == 1, f"{model}: {len(bare.sent)} answers"
     return Done(EPISODE, bare.digest.digest(), reached)
 
 
@@ -435,6 +473,8 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
     kinds["dynamixel"] = attack_servo
     unit = partial(_recorded, "leadshine.mcap", unit=UNIT)
     kinds["recorded unit"] = partial(attack_unit, unit, _addresses(build_leadshine))
+    kinds["mit"] = partial(attack_mit, build_mit, tuple(MIT_MODELS))
+    kinds["robstride"] = partial(attack_mit, build_robstride, tuple(ROBSTRIDES))
     return kinds
 
 

@@ -53,12 +53,13 @@ NOT_APPLICABLE = {
             *("OTHER-01", "OVER-01", "SET-10", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
+    "dryve": _POLLED | {"MEAS-03"},
     "dynamixel": frozenset(  # in position mode
         {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
             *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13)),
             *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "LOW-03", "SYNC-05"),
-            *("SHARE-08", "HOME-01", "HOME-03", "LOST-02", "LOST-03", "LOST-07", "LOST-08"),
+            *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08"),
             *("LOST-11", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
@@ -66,12 +67,11 @@ NOT_APPLICABLE = {
     "mit": _STREAMED,
     "moteus": frozenset(
         {
-            *("SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04", "STOP-05", "STOP-09"),
-            *("TRAJ-04", "TRAJ-05", "TRAJ-06", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11"),
-            *("TRAJ-12", "TRAJ-13", "LEAD-01", "LEAD-02", "LIM-05"),  # only profiles of position
-            *("HOME-03", "LOW-02", "LOW-03", "LOW-04", "SHARE-02"),
-            *("SHARE-08", "SYNC-06", "SYNC-11", "HEAR-05", "OTHER-01", "LOST-07", "LOST-08"),
-            *_OF_CANOPEN,
+            *("SET-04", "SET-07", "SET-10", "TRAJ-06"),  # no torque or current
+            *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
+            *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", *_OF_CANOPEN),  # likewise
+            *("HEAR-05", "HOME-03", "LOW-03", "LOW-04", "LOST-07", "OTHER-01", "SHARE-02"),
+            *("SYNC-06", "SYNC-11"),
         }
     ),
     "oriental_az": _POLLED,

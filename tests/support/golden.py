@@ -81,7 +81,12 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
     **{
         name: (what, (RIGS / f"{name}.toml").read_text(), algorithms)
-        for name, what in (("vesc", "two VESCs"), ("rmd", "two RMDs"))
+        for name, what in (
+            ("mit", "two Damiao drives with MIT frames"),
+            ("vesc", "two VESCs"),
+            ("rmd", "two RMDs"),
+            ("dynamixel", "two Dynamixel servos on a serial line"),
+        )
     },
     "moteus": ("two moteus controllers on CAN FD", (RIGS / "moteus.toml").read_text(), algorithms),
     "oriental_az": ("two AZ drivers on a serial line", EVERY["oriental_az"].rig(), algorithms),

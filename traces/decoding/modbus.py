@@ -3,14 +3,18 @@
 It is independent of the emulators and of the motor interface. Addresses are those of the PDU, from
 0.
 
+Function 43 with MEI type 13 reads and writes objects of a CANopen device behind a gateway.
+
 Source: MODBUS Application Protocol Specification V1.1b3, sections 6 (function codes) and 7
-(exception codes).
+(exception codes); igus, Operating Manual dryve D1 V2.4, pages 104 to 110 (MEI type 13).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final, final
 
+from motorhil.traces.decoding.cia402 import controlword_text, mode_text, statusword_text
 from motorhil.traces.decoding.events import DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.objects import standard_name, value_of, value_text
 from motorhil.traces.formats.modbus import Adu, can_answer
 from motorhil.traces.formats.tcp import Way
 
@@ -36,6 +40,14 @@ _OTHERS: Final = {
     21: "write file record",
     24: "read FIFO queue",
     43: "encapsulated interface",
+}
+_OBJECTS: Final = bytes((43, 13))
+_OBJECT_HEAD: Final = 12  # up to the byte count
+_WORDS: Final[dict[int, Callable[[int], str]]] = {
+    0x6040: controlword_text,
+    0x6041: statusword_text,
+    0x6060: mode_text,
+    0x6061: mode_text,
 }
 
 
@@ -107,6 +119,8 @@ def _request_text(pdu: bytes) -> str:
     if function == 23 and len(pdu) >= 10:
         places = _places("register", _u16(pdu, 1), _u16(pdu, 3))
         return f"write {_told(_written(pdu, pdu))}, then read {places}"
+    if pdu[:2] == _OBJECTS and len(pdu) >= _OBJECT_HEAD:
+        return "write " + _told(_written(pdu, pdu)) if pdu[2] else f"read {_object_name(pdu)}"
     name = _OTHERS.get(function & 0x7F, "function")
     return f"{name} ({function:02X}h): {_hex(pdu[1:])}"
 
@@ -125,6 +139,8 @@ def _response_text(request: bytes, response: bytes, facts: tuple[Fact, ...]) -> 
 def _read(request: bytes, response: bytes) -> tuple[Fact, ...]:
     """Return the values in a response to a read; none if its length is wrong."""
     function = request[0]
+    if request[:2] == _OBJECTS and len(request) >= _OBJECT_HEAD:
+        return () if request[2] else _object_facts(response, False)
     if len(request) < 5 or len(response) < 2 or response[1] != len(response) - 2:
         return ()
     start, count, data = _u16(request, 1), _u16(request, 3), response[2:]
@@ -147,6 +163,8 @@ def _written(request: bytes, response: bytes) -> tuple[Fact, ...]:
         return (_fact("coil", _u16(request, 1), int(request[3] == 0xFF), True),)
     if function == 6 and len(request) == 5:
         return (_fact("register", _u16(request, 1), _u16(request, 3), True),)
+    if request[:2] == _OBJECTS and len(request) > _OBJECT_HEAD and request[2]:
+        return _object_facts(request, True)
     at = 6 if function in (15, 16) else 10 if function == 23 else 0
     if not at or len(request) < at or request[at - 1] != len(request) - at:
         return ()
@@ -163,6 +181,26 @@ def _written(request: bytes, response: bytes) -> tuple[Fact, ...]:
 def _fact(name: str, address: int, value: int, told_to: bool) -> Fact:
     text = f"{value:04X}h" if "register" in name else ("on" if value else "off")
     return Fact(f"{name} {address:04X}h", value, text, told_to)
+
+
+def _object_name(pdu: bytes) -> str:
+    index, subindex = _u16(pdu, 5), pdu[7]
+    name = standard_name(index, subindex).text
+    place = f"object {index:04X}h" + (f":{subindex}" if subindex else "")
+    return f"{place} {name}".rstrip()
+
+
+def _object_facts(pdu: bytes, told_to: bool) -> tuple[Fact, ...]:
+    """Return the value of an object in a telegram; none if its length is wrong."""
+    if len(pdu) <= _OBJECT_HEAD or pdu[_OBJECT_HEAD - 1] != len(pdu) - _OBJECT_HEAD:
+        return ()
+    index, data = _u16(pdu, 5), pdu[_OBJECT_HEAD:]
+    kind = standard_name(index, pdu[7]).kind
+    value = value_of(kind, data)
+    text = value_text(kind, data, value)
+    if index in _WORDS and isinstance(value, int):
+        text += f" ({_WORDS[index](value)})"
+    return (Fact(_object_name(pdu), value, text, told_to),)
 
 
 def _told(facts: "tuple[Fact, ...] | list[Fact]") -> str:

@@ -12,6 +12,7 @@ from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack
 from motorhil.emulators.dynamixel.packets import Instruction, packet
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.emulators.modbus.rtu import with_crc
+from motorhil.emulators.modbus.tcp import adu as adu_of
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.verdicts.observation import Observation
@@ -45,9 +46,11 @@ _STOPS: Final = {  # commands of another program: by SDO to 6040h, halt; by the 
     "leadshine_pr": bytes.fromhex("06 60 02 00 40"),
     "oriental_az": bytes.fromhex("10 00 7C 00 02 04 00 00 00 20"),
     "dynamixel": bytes.fromhex("40 00 00"),  # torque off
+    "dryve": bytes.fromhex("2B 0D 01 00 00 60 40 00 00 00 00 02 0F 01"),
 }
 _SDO_REQUEST: Final = 0x600  # + node-ID
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
+_GATEWAY_WRITE: Final = bytes((0x2B, 0x0D, 1))  # CANopen objects through Modbus
 
 
 class TimeIsUp(BaseException):
@@ -405,6 +408,8 @@ class RigBench:
         node, command = described.node_id or 0, _STOPS[described.kind]
         if described.kind == "dynamixel":
             self.rig.line(self._bus(motor)).send(packet(node, Instruction.WRITE, command))
+        elif self._description.buses[self._bus(motor)].kind == MODBUS_TCP:
+            self.rig.line(self._bus(motor)).send(adu_of(0, node, command))
         elif self._is_on_a_line(motor):
             self.rig.line(self._bus(motor)).send(with_crc(bytes((node,)) + command))
         else:
@@ -447,7 +452,8 @@ class RigBench:
                     seen.append(str(message))
                 return
             unit, function = adu[head : head + 2]
-            if unit == address and function in _MODBUS_WRITES:
+            writes = function in _MODBUS_WRITES or adu[head + 1 : head + 4] == _GATEWAY_WRITE
+            if unit == address and writes:
                 seen.append(f"function {function:02X}h")
 
         self.rig.world.tap_frames(on_frame)

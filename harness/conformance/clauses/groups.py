@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from itertools import product
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
@@ -17,6 +17,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_unmoved,
     failure_of,
+    fastest,
     finish,
     finish_group,
     follow,
@@ -39,9 +40,11 @@ from motorhil.harness.conformance.clauses.tracks import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
+    ComplexTrajectory,
     ControlMode,
     DerivativeLimits,
     FaultReaction,
+    LinkError,
     Motor,
     MotorGroup,
     MotorState,
@@ -51,6 +54,7 @@ from motorhil.motorapi import (
     SyncLevel,
     SyncQuality,
     TrapezoidalTrajectory,
+    Trigger,
     UnsupportedError,
     UsageError,
 )
@@ -58,9 +62,14 @@ from motorhil.motorapi import (
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
+_ARM = "_arm"
 _FRAMES = 16  # of the host, in the start of a pair
 _WATCHED_S = 0.2
 _LOOKS = 10  # at the positions, while no caller waits
+_LEVELS = ("SEQUENTIAL", "TRIGGERED", "CYCLIC")
+_STREAMED_S = 20.0
+_SLOWLY = 0.1  # of the largest velocity
+_FIRST = 0.01  # of a streamed move: it has begun
 _FAR = 1e-6  # U: two skews that are not meant to differ
 
 
@@ -235,6 +244,65 @@ def _lead_s(bench: RigProtocol, order: int) -> tuple[float, float]:
 
 
 @clause(
+    "SYNC-19",
+    Level.L4,
+    needs={Capability.COMPLEX_POSITION},
+    bench=_TWO,
+    source="requirement 5 of the paper; Motor.stop: one motor of a group alone may be stopped",
+)
+def streamed_group_is_timed_and_stopped(bench: RigProtocol) -> None:
+    """The starts of streamed members are told as they were; one can be stopped, and stays there."""
+    first, second = bench.motors[:2]
+    way = half_move(bench)
+    group = MotorGroup(first, second)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    ways = (way, -way)
+    group.set_trajectory(*_streams(group, ways))
+    before, track = positions_of(bench, group), GroupPositions(bench, group)
+    group.start()
+    group.wait_until_done(_STREAMED_S)
+    rest_for(bench, _WATCHED_S)
+    track.end()
+    expect_group_moved(bench, group, before, ways, "streamed together")
+    _expect_told_starts(bench, group, track, ways)
+    group.set_trajectory(*_streams(group, (-2.0 * way, 2.0 * way)))
+    begun = positions_of(bench, group)
+    group.start()
+    rest_for(bench, midway_s(first, 2.0 * way, 0.5))
+    first.stop()
+    finish(bench, first)
+    held = position_of(bench, first)
+    reached(not second.is_done(), "a stop of one member during the motion of the other")
+    expect(abs(held - begun[0]) < 1.8 * abs(way), f"{first.name} was stopped, but made its way")
+    finish(bench, second, _STREAMED_S)
+    expect_unmoved(bench, first, held, f"{first.name}, stopped while the other goes on")
+    expect_moved(bench, second, begun[1], 2.0 * way, "after the other was stopped")
+
+
+def _streams(group: MotorGroup, ways: tuple[float, float]) -> list[ComplexTrajectory]:
+    return [smooth_move(motor, way) for motor, way in zip(group, ways, strict=True)]
+
+
+def _expect_told_starts(
+    bench: RigProtocol, group: MotorGroup, track: GroupPositions, ways: tuple[float, float]
+) -> None:
+    """Check the reported starts of streamed moves, of which the host sends every set-point."""
+    error_s = sampling_error_s(bench, ways[0], BEGUN) + max(map(abs, bench.facts.latency_s))
+    told = dict(group.sync_quality().times)
+    for member, (motor, way) in enumerate(zip(group, ways, strict=True)):
+        times = told[motor.name]
+        started_ns = None if times is None else times.started_ns
+        rise_s = smooth_move(motor, way).function.domain[1] * sqrt(_FIRST / 3.0)  # of 3 s²
+        seen_ns = (track.when(member, _FIRST, way) or 0.0) - 1e9 * rise_s
+        off_s = inf if started_ns is None else (started_ns - seen_ns) / 1e9
+        expect(
+            abs(off_s) <= error_s,
+            f"{motor.name}: the start of its stream is told as {started_ns} ns; it was at"
+            f" {seen_ns:.0f} ns, within {error_s:.6f} s",
+        )
+
+
+@clause(
     "SYNC-03",
     Level.L4,
     needs=_MOVES,
@@ -341,6 +409,9 @@ def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
     if can.start_skew_s is None or can.start_skew_s > 0.0:
         too_little = 3600.0 if can.start_skew_s is None else 0.5 * can.start_skew_s
         _expect_refused(group, can, None, too_little)
+        _expect_refused(group, can, None, 0.0)
+    names = [level.name for level in sorted(SyncLevel)]
+    expect(names == list(_LEVELS), f"levels, the lowest first: {names}; expected {_LEVELS}")
     for motor, was in zip(group, before, strict=True):
         expect_unmoved(bench, motor, was, f"{motor.name}, after its group was refused")
     enough = None if can.start_skew_s is None else 1.01 * can.start_skew_s + _FAR
@@ -374,6 +445,27 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     ways = (way, -0.4 * way)
     group = pair_of(bench, *ways)
     group.synchronization = Synchronization.PHASE
+    slowly = _SLOWLY * bench.motors[1].model.velocity_max
+    for limits in (None, DerivativeLimits(first=slowly)):
+        first, second = ways
+        group.set_trajectory(
+            TrapezoidalTrajectory(first), TrapezoidalTrajectory(second, limits=limits)
+        )
+        track = _expect_line(bench, group, ways)
+        if limits is None:
+            continue
+        found = fastest([(at_ns / 1e9, at) for at_ns, (_, at) in track.samples])
+        unit = bench.motors[1].model.unit
+        expect(
+            found <= 1.1 * slowly,
+            f"{group[1].name}: limited to {slowly:g} {unit}/s, and {found:g} {unit}/s fast",
+        )
+
+
+def _expect_line(
+    bench: RigProtocol, group: MotorGroup, ways: tuple[float, float]
+) -> GroupPositions:
+    """Start the group, check that it stays on the line, as it tells, and return its positions."""
     can = group.sync_capability()
     track = GroupPositions(bench, group)
     group.start()
@@ -395,6 +487,7 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     )
     reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
     expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
+    return track
 
 
 def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> float:
@@ -436,6 +529,10 @@ def refused_member_keeps_all_at_rest(bench: RigProtocol) -> None:
             rest_for(bench, _WATCHED_S)
             for one, was in zip(motors, before, strict=True):
                 expect_unmoved(bench, one, was, f"{motor.name} {what}: later, {one.name}")
+        for mover, other in (reversed(motors), motors):  # one that stayed armed would begin, too
+            was = position_of(bench, other)
+            move(bench, mover, 0.2 * way)
+            expect_unmoved(bench, other, was, f"{mover.name} moves alone: {other.name}")
     before = positions_of(bench, group)
     group.set_trajectory(*trajectories_of(-way, -way))
     group.start()
@@ -454,12 +551,27 @@ def _refusals(
     yield "is elsewhere", nullcontext(TrapezoidalTrajectory(here, far))
     if Ability.SEVERAL_USERS in bench.abilities:
         yield "is reserved", _reserved(bench.another_user_of(motor))
+    yield "cannot be armed", _not_armed(motor)
 
 
 @contextmanager
 def _reserved(user: Motor) -> Iterator[None]:
     with user.reserve("a clause"):
         yield None
+
+
+@contextmanager
+def _not_armed(motor: Motor) -> Iterator[None]:
+    """Let the hook that arms this motor fail, after those before it have been armed."""
+
+    def refuse(*_: object, **__: object) -> Trigger:
+        raise LinkError(link=motor.name, reason="refused by a clause")
+
+    setattr(motor, _ARM, refuse)
+    try:
+        yield None
+    finally:
+        delattr(motor, _ARM)
 
 
 @clause(

@@ -1,7 +1,7 @@
 """L2 and L5: low-level access, and the hardware object that it gives."""
 
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import partial
 from inspect import Parameter, signature
 from typing import Any, Final
@@ -18,6 +18,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     follow,
     long_move,
     move,
+    position_of,
     rest_for,
     shortest_s,
     turn,
@@ -28,6 +29,7 @@ from motorhil.motorapi import (
     Motor,
     MotorBusyError,
     MotorState,
+    PeerError,
     StateError,
     TrapezoidalTrajectory,
 )
@@ -36,6 +38,7 @@ _BACK_S: Final = 1.0
 _SLOW: Final = 3.0
 _LOOK_S: Final = 0.2
 _DEVICE_TYPE, _IDENTITY, _HEARTBEAT = 0x1000, 0x1018, 0x1017  # CiA 301
+_MODE, _PROFILE, _PROFILE_VELOCITY = 0x6060, (0x6081, 0x6083, 0x6084), 3  # CiA 402-2
 
 
 @clause(
@@ -215,6 +218,51 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
         enable = _simple(hardware, "enable")
         expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
+
+
+@clause(
+    "LOW-06",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    source="Motor.low_level: afterwards nothing is assumed; CiA 402-2, 6060h, 6081h to 6084h",
+)
+def changed_objects_are_written_again(bench: RigProtocol) -> None:
+    """Objects of a CiA 402 drive that low-level access has changed are as before in a motion."""
+    motor, way = bench.motor, 0.4 * long_move(bench)
+    follow(motor, TrapezoidalTrajectory(way))
+    usual_s = finish(bench, motor, shortest_s(motor, way))
+    for is_reserved in (False, True):
+        with motor.reserve("a clause") if is_reserved else nullcontext():
+            motor.disable()
+            with motor.low_level() as hardware:
+                _change_profile(hardware)
+            before, way = position_of(bench, motor), -way
+            follow(motor, TrapezoidalTrajectory(way))
+            took_s = finish(bench, motor, _SLOW * shortest_s(motor, way))
+        what = "other mode, speed and ramps in low-level access"
+        expect_moved(bench, motor, before, way, what)
+        expect(
+            abs(took_s - usual_s) <= bench.facts.time_tolerance_s,
+            f"{what}: the next move took {took_s:.3f} s; {usual_s:.3f} s before",
+        )
+
+
+def _change_profile(hardware: Any) -> None:
+    """Write the objects of a CiA 402 drive that make a profile, and the mode.
+
+    Raises:
+        NotApplicable: it is no such drive.
+    """
+    try:
+        for index in _PROFILE:
+            slower = max(1, hardware.read(index) // 4)
+            hardware.download(index, 0, slower.to_bytes(4, "little"))
+    except (AttributeError, PeerError, TypeError) as error:
+        raise NotApplicable(
+            f"the hardware object has no {index:04X}h of CiA 402: {error}"
+        ) from None
+    with suppress(PeerError):
+        hardware.download(_MODE, 0, bytes((_PROFILE_VELOCITY,)))
 
 
 def _expect_period(hardware: Any, wanted_ms: int, what: str) -> None:

@@ -60,6 +60,7 @@ _ESTIMATE: Final = Struct("<ii")
 _COMMAND: Final = Struct("<BBxxi")
 _SPEED: Final = Struct("<I")
 _RAMPS: Final = Struct("<II")
+_TARGET_MAX: Final = 0x7FFF_FFFF
 OFF, ON, FAULT = 0, 1, 2
 _STATES: Final = {OFF: MotorState.DISABLED, ON: MotorState.ENABLED, FAULT: MotorState.FAULT}
 SWITCH_OFF, SWITCH_ON, MOVE, STOP, CLEAR = range(5)
@@ -322,12 +323,17 @@ class MydriveMotor(Motor):
 
     def _command(self, motion: Motion) -> None:
         size = abs(self._steps)
+        target, reach = round(motion.target * self._steps), _TARGET_MAX / size
+        if abs(target) > _TARGET_MAX:
+            raise UsageError(
+                f"{self.name}: target {motion.target:g} {self.model.unit}; the drive takes"
+                f" {-reach:g} to {reach:g} {self.model.unit}; move less far"
+            )
         self._hardware.set_limits(
             round(motion.velocity * size),
             round(motion.acceleration * size),
             round(motion.deceleration * size),
         )
-        target = round(motion.target * self._steps)
         self._hardware.drive.confirm(self._hardware.tell(MOVE, target))
 
     def _stop(self) -> None:

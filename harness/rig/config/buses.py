@@ -43,7 +43,7 @@ LINES: Final = (MODBUS_RTU, MODBUS_TCP, SERIAL)
 PARITIES: Final = ("E", "O", "N")
 BY_COMMAND: Final = "command"
 
-NODE_MAX: Final = 127
+NODE_MAX: Final = 255  # kinds of drives have their own, lower limits
 UNIT_MAX: Final = 247
 ID_MAX: Final = 252
 """The highest unit on a serial line that is not a Modbus line."""

@@ -14,6 +14,7 @@ Source: the maker's manuals of the X series.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from math import floor
 from typing import TYPE_CHECKING, ClassVar, Final, final
@@ -38,10 +39,12 @@ from motorhil.motorapi.api import (
     LimitError,
     LineUnit,
     Motion,
+    MotorError,
     MotorState,
     PeerError,
     Poll,
     PolledHardware,
+    Registration,
     StateError,
     UnsupportedError,
 )
@@ -59,6 +62,7 @@ _ROUNDING: Final = 1e-9
 MODES: Final = {"position": 4, "velocity": 1}
 _TIME_BASED: Final = 0x04  # of the drive mode
 _MODEL, _DRIVE_MODE, _MODE, _TORQUE, _WATCHDOG = 0, 10, 11, 64, 98
+_WATCHDOG_S: Final = 0.02  # per register unit
 _TRIPPED: Final = 0xFF  # in the register of the bus watchdog
 _GOAL_VELOCITY, _RAMP_AT, _GOAL, _TRAJECTORY = 104, 108, 116, 136
 _FROM, _UNTIL = 64, 144  # the registers of a poll
@@ -112,6 +116,7 @@ class DynamixelLine(ExchangeLine[Request, Status]):
     """
 
     HAS_SILENCES: ClassVar[bool] = False
+    QUARANTINE_NS: ClassVar[int] = 50_000_000  # no servo answers later
 
     def __init__(self, line: ByteLine, runtime: "Runtime", lock: "ProcessLock | None") -> None:
         super().__init__(line, runtime, lock)
@@ -155,9 +160,10 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         runtime: the runtime to wait with.
         mode: "position" or "velocity".
         timeout_s: the response timeout [s].
+        watchdog_s: without an instruction on the line for this time, the servo stops; None: never.
 
     Attributes:
-        mode: as given.
+        mode, watchdog_s: as given.
         prepared: (address, bytes) of the prepared motion.
 
     Raises:
@@ -172,9 +178,13 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         runtime: "Runtime",
         mode: str = "position",
         timeout_s: float = 0.1,
+        watchdog_s: float | None = None,
     ) -> None:
         super().__init__(DynamixelUnit(line, unit, runtime, self, timeout_s))
         self.mode: Final = mode
+        self.watchdog_s: Final = watchdog_s
+        self._alive: Registration | None = None
+        self._last_ping: DynamixelExchange | None = None
         self.prepared: tuple[int, bytes] = (_GOAL, b"")
         self._seen = b""  # the registers of the last poll
         self._quick_ramp = 0
@@ -231,7 +241,8 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         seen = self._seen = self.registers.read(_FROM, _UNTIL - _FROM)
         is_on, self._hardware_error = bool(self._at(_TORQUE, 1)), self._at(70, 1)
         fault = self._fault(bool(self._hardware_error) and not is_on, _ERRORS)
-        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
+        is_stopped = self._quick_stopped or self._at(_WATCHDOG, 1) == _TRIPPED
+        state = MotorState.STOPPED if is_stopped else MotorState.ENABLED
         state = state if is_on else MotorState.DISABLED
         profile_runs = bool(seen[123 - _FROM] & 2)
         demand_speed = self._at(_TRAJECTORY, 4)
@@ -270,11 +281,11 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         """Set the mode, the goal to the present position, and switch the torque on."""
         self._quick_stopped = False
         registers = self.registers
+        if registers.read(_WATCHDOG, 1)[0]:
+            registers.write(_WATCHDOG, b"\0")  # else goals are refused, once it has tripped
         if registers.read(_TORQUE, 1)[0] == 0:
             if registers.read(_MODE, 1)[0] != MODES[self.mode]:
                 registers.write(_MODE, bytes((MODES[self.mode],)))
-            if registers.read(_WATCHDOG, 1)[0]:
-                registers.write(_WATCHDOG, b"\0")
             if self.mode == "position":
                 registers.write(_GOAL, registers.read(132, 4))
             else:
@@ -288,9 +299,36 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
             remedy = "reset_fault() first" if error else "disable() it, then enable() again"
             raise StateError(motor=self.label, operation="enable", state=told, remedy=remedy)
 
+        self._stay_alive()
+
+    def _stay_alive(self) -> None:
+        """Set the bus watchdog, and feed it by pings from now on."""
+        if self.watchdog_s is None:
+            return
+        self.registers.write(_WATCHDOG, bytes((max(1, round(self.watchdog_s / _WATCHDOG_S)),)))
+        if self._alive is None:
+            self._alive = self.runtime.every(self.watchdog_s / 3.0, self._ping)
+
+    def _ping(self) -> None:
+        if self._last_ping is None or self._last_ping.is_over:
+            with suppress(MotorError):  # the next request reports it
+                ping = Request(PING, count=3)
+                self._last_ping = self.registers.post_request(ping, urgent=False)
+
+    def _rest(self) -> None:
+        alive, self._alive = self._alive, None
+        if alive is not None:
+            alive.cancel()
+
     def disable(self) -> None:
         """Switch the torque off."""
+        self._rest()
         self.registers.write(_TORQUE, b"\0")
+
+    def close(self) -> None:
+        """Close the hardware; the bus watchdog is fed no more."""
+        self._rest()
+        super().close()
 
     def reset_fault(self) -> None:
         """Reboot the servo, which resets a hardware error; it forgets its turns."""

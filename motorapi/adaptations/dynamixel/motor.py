@@ -75,6 +75,10 @@ class DynamixelTable:
     name: str | None = text(None, "Name of the motor; absent: the model's.")
     mode: str = word("position", MODES, "mode", "Control variable; the servo has one at a time.")
     timeout_s: float = number(0.1, 0.001, 60.0, "s", "Response timeout.", plausible=(0.002, 5.0))
+    watchdog_s: float | None = number(
+        *(None, 0.02, 2.54, "s", "Bus watchdog: without any instruction so long, it stops."),
+        plausible=(0.04, 2.54),
+    )
 
 
 _shared: Final[Shared[DynamixelHwMotor]] = Shared("servo")
@@ -100,9 +104,16 @@ def build(
         bus,
         own.unit,
         lambda: DynamixelHwMotor(
-            bus, own.unit, runtime=runtime, mode=own.mode, timeout_s=own.timeout_s
+            *(bus, own.unit),
+            runtime=runtime,
+            mode=own.mode,
+            timeout_s=own.timeout_s,
+            watchdog_s=own.watchdog_s,
         ),
-        lambda built: (built.registers.timeout_s, built.mode) == (own.timeout_s, own.mode),
+        lambda built: (
+            (built.registers.timeout_s, built.mode, built.watchdog_s)
+            == (own.timeout_s, own.mode, own.watchdog_s)
+        ),
     )
     return DynamixelMotor(
         hardware, model, name=own.name, on_close=lambda: _shared.give_back(hardware)

@@ -195,18 +195,19 @@ class MitHwMotor:
         Raises as `CanDrive.command` and `CanDrive.confirm`.
         """
         self._end_stream()
-        self._set(plan)
-        self._moved = self._summed = 0.0
-        self.started_ns, self._last = None, None
 
         def send(at_s: float, fence: "BoundFence | None" = None) -> SentFrame:
             return self.drive.command(*self.frames.command(plan(at_s)), fence=fence)
 
-        self._stream = SetpointStream(
+        stream = SetpointStream(
             *(self.drive, float, duration_s, self.options.period_ms / 1e3, send),
             self._note_last,
         )
-        self.started_ns = self.drive.confirm(self._stream.begin())
+        self.started_ns, self._last = None, None
+        sent = stream.begin()
+        self._stream, self._moved, self._summed = stream, 0.0, 0.0
+        self._set(plan)
+        self.started_ns = self.drive.confirm(sent)
 
     def start_offer(self) -> SyncOffer:
         """Return the offer of a start by the first command of a motion."""
@@ -245,15 +246,16 @@ class MitHwMotor:
 
     def release(self) -> None:
         """End all commands; the motor is limp."""
+        self.drive.command(*self.frames.command(LIMP))
         self._end_stream()
         self.plan = None
-        self.drive.command(*self.frames.command(LIMP))
 
     def tell(self, special: Special) -> SentFrame:
         """Send a special request; raises as `CanDrive.command`."""
+        sent = self.drive.command(*self.frames.special(special))
         if special in (Special.ENTER, Special.LEAVE):
             self.is_on = special is Special.ENTER  # a drive that tells corrects it
-        return self.drive.command(*self.frames.special(special))
+        return sent
 
     def ask(self, special: Special, is_there: Callable[[], bool], awaited: str) -> None:
         """Send a special request until an answer shows its effect.

@@ -1,10 +1,10 @@
-"""The adaptation to a moteus: position mode, with the trajectories on board.
+"""The adaptation to a moteus: position and velocity, with the trajectories on board.
 
 A moteus sends nothing by itself, so the hardware object asks it periodically. While a motion goes
 on, it repeats the whole command instead, which feeds the watchdog of the drive: without the host,
-the drive stops. At the end, a command without a watchdog holds the position, so that an idle motor
-needs no program. After a timeout, the motor has current but holds no position; its state is STOPPED
-until `enable`.
+the drive stops. At the target, a command without a watchdog holds the position, so that an idle
+motor needs no program. After a timeout, the motor has current but holds no position; its state is
+STOPPED until `enable`.
 
 Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
@@ -13,13 +13,15 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from math import nan, tau
+from math import isnan, nan, tau
 from struct import Struct
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
     CanDrive,
+    ControlMode,
+    ControlVariable,
     DeviceFault,
     Fault,
     LinkError,
@@ -36,6 +38,7 @@ from motorhil.motorapi.api import (
     PeerError,
     PeriodicMessage,
     SentFrame,
+    SettingError,
     Shared,
     SyncOffer,
     UnsupportedError,
@@ -91,8 +94,9 @@ _FAULTS: Final = {
 }
 _ANSWER_S: Final = 0.2
 _CONNECT_S: Final = 1.0
-_ENOUGH: Final = 2  # replies; that of a command itself shows the state before it
+_FEEDS: Final = 3  # of the watchdog, within its time
 _WINDOW: Final = 0.1  # of the model's tolerance
+_REACHED: Final = 0.05  # of the model's velocity
 _HOME_OUTPUT: Final = 2
 _HERE: Final = (None, 35, 37)  # homing methods: here
 
@@ -111,20 +115,54 @@ class Status(NamedTuple):
     time_ns: int
 
 
+class Order(NamedTuple):
+    """A command of position mode [rev, rev/s, rev/s, rev/s²]; NaN: no position."""
+
+    position: float
+    velocity: float
+    speed: float
+    acceleration: float
+
+    def packed(self, watchdog_s: float) -> bytes:
+        """Return its registers; NaN: no watchdog."""
+        first, second, third = _COMMAND_HEADS
+        limits = watchdog_s, self.speed, self.acceleration
+        return _COMMAND.pack(first, second, self.position, self.velocity, third, *limits)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoteusOptions(Options):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
-    poll_ms: float = number(10.0, 0, 1e3, "ms", "Period of queries and commands.", above=True)
+    poll_ms: float = number(
+        10.0, 0, 1e3, "ms", "Period of queries and commands.", above=True, plausible=(1.0, 50.0)
+    )
     watchdog_ms: float = number(
-        100.0, 0, 1e6, "ms", "The drive stops after this time without its host.", above=True
+        100.0,
+        0,
+        1e6,
+        "ms",
+        "The drive stops after this time without its host.",
+        above=True,
+        plausible=(10.0, 10_000.0),
     )
     timeout_ms: float = number(
-        100.0, 0, unit="ms", doc="Time without a reply after which the drive is lost.", above=True
+        100.0,
+        0,
+        unit="ms",
+        doc="Time without a reply after which the drive is lost.",
+        above=True,
+        plausible=(10.0, 10_000.0),
     )
     rotor_to_output_ratio: float = number(
         1.0, 0, 1e9, "", "As in the drive: turns of its output per turn of the motor.", above=True
     )
+
+    def check_together(self) -> None:
+        """Check that the watchdog is fed in time."""
+        if self.watchdog_ms < _FEEDS * self.poll_ms:
+            problem = f"{self.watchdog_ms:g} ms is too short for poll_ms = {self.poll_ms:g}"
+            raise SettingError(("watchdog_ms",), problem, f"at least {_FEEDS} times poll_ms")
 
 
 @final
@@ -164,10 +202,9 @@ class MoteusHwMotor:
         self.ended_ns: int | None = None
         self._register_map: int | None = None
         self._fault_since_ns = 0
-        self._fed: tuple[float, float, float] | None = None  # the motion that goes on
+        self._fed: Order | None = None  # repeated, as the motion goes on
+        self._order = hold(0.0)
         self._sent: SentFrame | None = None  # the last command
-        self._replies = 0  # after that
-        self._target: float | None = None
         self._window = 0.0
         self._last: tuple[Callable[..., SentFrame], bytes] | None = None
         self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime, fd=True)
@@ -187,8 +224,8 @@ class MoteusHwMotor:
 
     def close(self) -> None:
         """Stop sending and receiving; the watchdog of the drive ends a motion."""
-        self._fed = None
-        self.drive.close(at_rest=self.is_over)
+        is_at_rest, self._fed = self.is_over and self._fed is None, None
+        self.drive.close(at_rest=is_at_rest)
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its register map.
@@ -229,26 +266,31 @@ class MoteusHwMotor:
 
     # --- commands: `command` needs the ownership of the motor, a stop does not
 
-    def move(self, target: float, velocity: float, acceleration: float, window: float) -> None:
-        """Begin a motion, which ends within the window [rev, rev/s, rev/s²]."""
-        self._fed = (target, velocity, acceleration)
-        self._follow(target, window, self.drive.command, self._packed(*self._fed))
-        assert self._sent is not None  # by _follow
-        self.started_ns, self.ended_ns = self.drive.confirm(self._sent), None
+    def begin(self, order: Order, window: float) -> None:
+        """Begin a motion, which ends within the window [rev or rev/s]."""
+        self._fed = order
+        data = order.packed(self.options.watchdog_ms / 1e3)
+        sent = self._follow(order, window, self.drive.command, data)
+        self.started_ns, self.ended_ns = self.drive.confirm(sent), None
 
     def start_offer(self) -> SyncOffer:
         """Return the offer of a start by the command of a motion."""
-        length = len(_padded(self._packed(0.0, 0.0, 0.0) + _QUERY))
+        length = len(_padded(hold(0.0).packed(0.0) + _QUERY))
         return self.drive.start_offer(self.node_id | _REPLY | _EXTENDED, length, flags=_BRS)
 
     def brake(self, deceleration: float, window: float) -> None:
         """Slow down, then hold; needs no ownership."""
-        data = _packed(nan, -1.0, deceleration, nan)
         self._fed = None
         is_obeyed = self.status is not None and self.status.mode in (POSITION, *_OTHERS)
         self.is_over = not is_obeyed  # it rests, or a timeout has stopped it
         if is_obeyed:
-            self._follow(None, window, self.drive.stop_command, data)
+            order = hold(deceleration)
+            self._follow(order, window, self.drive.stop_command, order.packed(nan))
+
+    def call_here_zero(self, window: float) -> None:
+        """Make the present position that of the output's zero."""
+        self._fed = None
+        self._follow(hold(0.0), window, self.drive.command, _OUTPUT_ZERO)
 
     def obey(self, data: bytes, is_there: Callable[[Status], bool], awaited: str) -> None:
         """Send a command, and wait for a reply to a later query that satisfies `is_there`.
@@ -256,36 +298,31 @@ class MoteusHwMotor:
         Raises:
             DeadlineExceeded: there was none.
         """
-        self._fed, self._target, self.is_over = None, None, True
+        self._fed, self.is_over = None, True
         self._last = last = self.drive.command, data
         since: list[SentFrame] = []
 
         def is_answered() -> bool:
-            status, sent_ns = self.status, since[0].time_ns
-            if status is None or sent_ns is None:
-                return False
-            is_later = status.time_ns - sent_ns > self.options.poll_ms * 5e5  # not its own reply
-            return is_later and is_there(status)
+            status = self.status
+            return status is not None and self._shows(status, since[0]) and is_there(status)
 
         self.drive.exchange(
             lambda: since.append(self._tell(*last)), is_answered, _ANSWER_S, awaited
         )
 
-    def call_here_zero(self, window: float) -> None:
-        """Make the present position that of the output's zero."""
-        self._fed = None
-        self._follow(None, window, self.drive.command, _OUTPUT_ZERO)
+    def _shows(self, status: Status, sent: SentFrame | None) -> bool:
+        """Return whether a reply shows the state after a command, as its own reply does not."""
+        sent_ns = None if sent is None else sent.time_ns
+        return sent_ns is not None and status.time_ns - sent_ns > self.options.poll_ms * 5e5
 
     def _follow(
-        self, target: float | None, window: float, send: Callable[..., SentFrame], data: bytes
-    ) -> None:
-        self._target, self._window, self._replies = target, window, 0
+        self, order: Order, window: float, send: Callable[..., SentFrame], data: bytes
+    ) -> SentFrame:
+        self._order, self._window = order, window
         self.is_over = False
         self._last = send, data
         self._sent = self._tell(send, data)
-
-    def _packed(self, target: float, velocity: float, acceleration: float) -> bytes:
-        return _packed(target, velocity, acceleration, self.options.watchdog_ms / 1e3)
+        return self._sent
 
     def _tell(self, send: Callable[..., SentFrame], data: bytes) -> SentFrame:
         return send(self.node_id | _REPLY | _EXTENDED, _padded(data + _QUERY), flags=_BRS)
@@ -303,31 +340,29 @@ class MoteusHwMotor:
             if fed is None:
                 self._ask(_QUERY)
                 return
+            has_arrived = self._has_arrived()
+            holds = has_arrived and not fed.velocity  # from now on without a watchdog
             try:
-                if self._has_arrived():  # hold it, from now on without a watchdog
-                    self._tell(self.drive.command, _packed(*fed, nan))
-                    if self._fed is fed:
-                        self._fed, self.is_over = None, True
-                        self.ended_ns = self.drive.runtime.now_ns()
-                        self.drive.news.grow()
-                else:
-                    self._tell(self.drive.command, self._packed(*fed))
+                watchdog_s = nan if holds else self.options.watchdog_ms / 1e3
+                self._tell(self.drive.command, fed.packed(watchdog_s))
             except MotorBusyError:
                 self._fed = None
             if last is not self._last and self._last is not None:
                 self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
+            elif has_arrived and self._fed is fed and not self.is_over:
+                self._fed, self.is_over = None if holds else fed, True
+                self.ended_ns = self.drive.runtime.now_ns()
+                self.drive.news.grow()
 
     def _has_arrived(self) -> bool:
-        status, target = self.status, self._target
-        if status is None or self._replies < _ENOUGH:
+        status, order, window = self.status, self._order, self._window
+        if status is None or status.mode != POSITION or not self._shows(status, self._sent):
             return False
-        is_there = status.mode == POSITION and status.is_done
-        is_near = abs(status.position - status.control) <= self._window
-        return (
-            is_there
-            and is_near
-            and (target is None or abs(status.control - target) <= self._window)
-        )
+        if order.velocity:
+            return status.is_done and abs(status.velocity - order.velocity) <= window
+        is_near = abs(status.position - status.control) <= window
+        is_there = isnan(order.position) or abs(status.control - order.position) <= window
+        return status.is_done and is_near and is_there
 
     def _on_reply(self, data: bytes, time_ns: int) -> None:
         if len(data) >= _IDENTITY_REPLY.size and data[:3] == b"\x2a\x81\x02":
@@ -348,12 +383,9 @@ class MoteusHwMotor:
         if mode == FAULT and (before is None or before.mode != FAULT):
             self._fault_since_ns = time_ns
         self._life.came(time_ns)
-        sent_ns = None if self._sent is None else self._sent.time_ns
-        if sent_ns is not None and time_ns > sent_ns:
-            self._replies += 1
         if self._fed is None and not self.is_over:
             self.is_over = self._has_arrived() or mode < POSITION
-        if mode in (STOPPED, FAULT, TIMEOUT) and self._replies >= _ENOUGH:
+        elif mode in (STOPPED, FAULT, TIMEOUT) and self._shows(self.status, self._sent):
             self._fed = None
 
     def _on_foreign(self, data: bytes, time_ns: int) -> None:
@@ -367,10 +399,9 @@ class MoteusHwMotor:
         self.drive.doubt()
 
 
-def _packed(target: float, velocity: float, acceleration: float, watchdog_s: float) -> bytes:
-    """Return a command of position mode."""
-    first, second, third = _COMMAND_HEADS
-    return _COMMAND.pack(first, second, target, 0.0, third, watchdog_s, velocity, acceleration)
+def hold(deceleration: float) -> Order:
+    """Return the order to slow down, then to hold."""
+    return Order(nan, 0.0, -1.0, deceleration)
 
 
 def _padded(data: bytes) -> bytes:
@@ -425,8 +456,8 @@ class MoteusMotor(Motor):
         status = hardware.status
         if status is not None and status.mode == TIMEOUT:
             hardware.obey(_STOP, lambda one: one.mode == STOPPED, "mode 0")
-        hold = _packed(nan, -1.0, abs(self.model.deceleration * self._rev), nan)
-        hardware.obey(hold, lambda one: one.mode in (FAULT, POSITION), "mode 10")
+        order = hold(abs(self.model.deceleration * self._rev))
+        hardware.obey(order.packed(nan), lambda one: one.mode in (FAULT, POSITION), "mode 10")
         self._check_fault()
 
     def _disable(self) -> None:
@@ -434,18 +465,22 @@ class MoteusMotor(Motor):
 
     def _command(self, motion: Motion) -> None:
         size = abs(self._rev)
-        self._hardware.move(
-            motion.target * self._rev,
-            motion.velocity * size,
-            min(motion.acceleration, motion.deceleration) * size,
-            self._window,
-        )
+        ramp = min(motion.acceleration, motion.deceleration) * size
+        if motion.variable is ControlVariable.POSITION:
+            order = Order(motion.target * self._rev, 0.0, motion.velocity * size, ramp)
+            self._hardware.begin(order, self._window)
+            return
+        order = Order(nan, motion.target * self._rev, -1.0, ramp)
+        self._hardware.begin(order, _REACHED * self.model.velocity_max * size)
 
     def _stop(self) -> None:
         size = self._physical.stop_deceleration(self.model.deceleration)
         self._hardware.brake(size * abs(self._rev), self._window)
 
     # --- capabilities
+
+    def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
+        return variable in (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
     def _sync_offer(self) -> SyncOffer:
         return self._hardware.start_offer()

@@ -4,6 +4,7 @@ from unittest.mock import patch
 
 from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
+from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
@@ -54,6 +55,30 @@ def low_level_access_closes():
 def low_level_access_in_mid_motion():
     """A reached velocity counts as done, so low-level access is granted while the motor moves."""
     with replaced(LogicalMotor, "_is_at_rest", lambda at_rest: lambda motor, *, patient: True):
+        yield
+
+
+@mutant("cia402", "LOW-06")
+def settings_that_were_written_once():
+    """After low-level access, the drive is taken to have the settings that it had before."""
+
+    def wrong(_):
+        def believes(self, index, subindex, data):
+            return self._kept.get((index, subindex)) == data
+
+        return believes
+
+    def kept(push):
+        def pushed(self, index, subindex, data):
+            found = push(self, index, subindex, data)
+            self._kept[index, subindex] = data
+            return found
+
+        return pushed
+
+    changed = patch.object(ObjectAccess, "_kept", {}, create=True)
+    pushed = replaced(ObjectAccess, "push_bytes", kept)
+    with changed, pushed, replaced(ObjectAccess, "_believes", wrong):
         yield
 
 

@@ -4,8 +4,8 @@ from unittest.mock import patch
 
 from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.modbus.client import ModbusLine
 from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
-from motorhil.motorapi.api import line_exchanges
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotorError
 from tests.conformance.mutants import mutant, replaced
@@ -202,5 +202,5 @@ def reads_are_repeated_for_long():
 @mutant("leadshine", "HEAR-05")
 def the_next_answer_is_the_answer():
     """The next request is sent right after a timeout; the next answer of that length is its own."""
-    with patch.object(line_exchanges, "_QUARANTINE_NS", 0):
+    with patch.object(ModbusLine, "QUARANTINE_NS", 0):
         yield

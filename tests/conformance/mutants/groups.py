@@ -5,6 +5,7 @@ from dataclasses import replace
 from unittest.mock import patch
 
 from motorhil.motorapi import MotorGroup, Synchronization, execution, group
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.errors import MotorError, UsageError
 from motorhil.motorapi.group import CommonMotion
@@ -222,6 +223,20 @@ def who_can_start_starts():
         return started
 
     with replaced(group, "start_together", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-12")
+def armed_for_good():
+    """A member that was armed before another one was refused stays armed."""
+    with replaced(Cia402Motor, "_disarm", lambda disarm: lambda motor: None):
+        yield
+
+
+@mutant("cia402", "SYNC-19")
+def when_a_stream_began():
+    """The time when a stream began is not kept."""
+    with replaced(CspStream, "_began", lambda began: lambda stream, time_ns: None):
         yield
 
 

@@ -96,6 +96,7 @@ def error_passive_node_is_not_faulty(bench: RigProtocol) -> None:
         motor = bench.motor
         motor.enable()
         with bench.strike(motor if whose == "drive" else None, _TO_PASSIVE) as struck:
+            motor.position()  # makes a drive send that only answers
             rest_for(bench, _BACK_S)
             reached(struck() == _TO_PASSIVE, f"an error passive {whose}")
             what, fault = f"{whose} error passive", motor.fault()

@@ -63,6 +63,7 @@ _ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
 _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 _HERE = 37
+_SPOT_S: Final = 0.5
 _LATE_S: Final = (0.11, 0.21, 0.31)
 _LATE_PLACES: Final = 4
 _NO_METHOD = 77  # reserved in CiA 402-2
@@ -77,9 +78,9 @@ def _raised(what: str, operation: Callable[[], object]) -> DeviceFault:
 
 
 def _expect_fault(motor: Motor, code: int) -> None:
-    expect_state(motor, MotorState.FAULT, "drive fault")
-    fault = motor.fault()
+    fault = motor.fault()  # first: the state must not have to be asked for it
     expect(fault is not None and fault.code == code, f"drive fault {code:04X}h: fault() is {fault}")
+    expect_state(motor, MotorState.FAULT, "drive fault")
 
 
 @clause(
@@ -450,12 +451,15 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.3 * long_move(bench)
     move(bench, motor, way)
     before = position_of(bench, motor)
+    begun_ns = bench.runtime.now_ns()
     try:
         motor.home(_HERE)
     except UnsupportedError as error:
         if Capability.HOMING in bench.facts.claims:
             raise
         raise NotApplicable(f"homing on the spot is refused: {error}") from None
+    took_s, most_s = elapsed_s(bench, begun_ns), _SPOT_S + bench.facts.time_tolerance_s
+    expect(took_s <= most_s, f"homing on the spot took {took_s:.3f} s; limit {most_s:g} s")
     expect(motor.is_referenced(), "homed on the spot: not referenced")
     expect_at(bench, motor, 0.0, "homed on the spot")
     if Ability.TRUTH in bench.abilities and motor.position() != position_of(bench, motor):

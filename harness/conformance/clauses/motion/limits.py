@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from math import sqrt
+from math import inf, sqrt
 from typing import TYPE_CHECKING
 
 from motorhil.harness.conformance.bench import RigProtocol
@@ -28,6 +28,7 @@ from motorhil.motorapi import (
     DerivativeLimits,
     LimitError,
     Motor,
+    PeerError,
     TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 _WATCHED_S = 0.2
 _BLIP_S = 0.002
 _FAR = 12.0  # long moves
+_OUT_OF_REACH = 1e9  # long moves: it would take years
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
 
@@ -55,10 +57,19 @@ def _expect_refused(
             facts == (motor.name, True, True) and f"{error.value:g}" in f"{error}",
             f"{what}: the error lacks motor, {quantity}, value or limit: {error}",
         )
+        _expect_outside(error)
     else:
         raise Violated(f"{what} was not refused")
     rest_for(bench, _WATCHED_S)
     expect_unmoved(bench, motor, before, f"{what} was refused")
+
+
+def _expect_outside(error: LimitError) -> None:
+    """Check that the value of this error is outside of its limits."""
+    low = -inf if error.low is None else error.low
+    high = inf if error.high is None else error.high
+    is_outside = low <= high and not low <= error.value <= high
+    expect(is_outside, f"refused, though its value is within its limits: {error}")
 
 
 @clause(
@@ -265,6 +276,13 @@ def complex_trajectory_keeps_limits_everywhere(bench: RigProtocol) -> None:
     calm_s = sqrt(12.0 * near / gentle)  # half of the acceleration
     calm = cubic_step(near, calm_s)
     motor.set_control_mode(ControlMode.TRAJECTORY)
+    before = position_of(bench, motor)
+    for begins in (True, False):
+        started = partial(follow, motor, _not_at_rest(motor, begins=begins))
+        what = f"a complex trajectory with a velocity at its {'beginning' if begins else 'end'}"
+        expect_raises(UsageError, started, f"{what} was not refused")
+    rest_for(bench, _WATCHED_S)
+    expect_unmoved(bench, motor, before, "trajectories that begin or end in motion")
     for share in (0.99, 1.01):
         jerk = DerivativeLimits(third=12.0 * near / calm_s**3 / share)
         for quantity, function, limits in (
@@ -280,6 +298,19 @@ def complex_trajectory_keeps_limits_everywhere(bench: RigProtocol) -> None:
             else:
                 command = partial(follow, motor, trajectory)
                 _expect_refused(bench, motor, what, command, quantity=quantity)
+
+
+def _not_at_rest(motor: Motor, *, begins: bool) -> ComplexTrajectory:
+    """Return a parabola within the limits that begins, or ends, with a velocity."""
+    from motorhil.motorapi.functions import Polynomial
+
+    gentle = 0.4 * min(motor.model.acceleration_max, motor.model.deceleration)
+    time_s = 0.5 * motor.model.velocity_max / gentle
+    linear = gentle * time_s if begins else 0.0
+    curve = -0.5 * gentle if begins else 0.5 * gentle
+    return ComplexTrajectory(
+        Polynomial((0.0, linear, curve)).restricted(0.0, time_s), relative=True
+    )
 
 
 def _blip(motor: Motor, time_s: float, share: float) -> "Function":
@@ -307,13 +338,19 @@ def _blip(motor: Motor, time_s: float, share: float) -> "Function":
 def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
     """Whatever limits a drive itself has, a far target is refused or reached, never in part."""
     motor, way = bench.motor, long_move(bench)
-    for share in (_FAR, -_FAR, 1.0):
+    for share in (_FAR, -_FAR, _OUT_OF_REACH, -_OUT_OF_REACH, 1.0):
         before = motor.position()
         target = share * way
         try:
             follow(motor, TrapezoidalTrajectory(target))
-        except LimitError:
+        except (UsageError, PeerError) as error:  # in advance, or by the drive
+            if isinstance(error, LimitError):
+                _expect_outside(error)
             expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
+            continue
+        if abs(share) == _OUT_OF_REACH:
+            motor.stop()
+            finish(bench, motor)
             continue
         finish(bench, motor, shortest_s(motor, target))
         expect_at(bench, motor, before + target, f"a move of {target:g} {motor.model.unit}")

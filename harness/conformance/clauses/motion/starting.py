@@ -412,8 +412,12 @@ def on_done_is_called_once(bench: RigProtocol) -> None:
 def _expect_one_call(
     calls: list[tuple[int, Outcome]], ending: Ending, at_ns: int, tolerance_s: float
 ) -> None:
-    endings = ", ".join(outcome.ending.value for _, outcome in calls) or "nothing"
-    expect([outcome.ending for _, outcome in calls] == [ending], f"notified: {endings}")
+    endings = ", ".join(outcome.ending.value for _, outcome in calls) or "no call"
+    expect(
+        [outcome.ending for _, outcome in calls] == [ending],
+        f"callback of on_done(): {endings}; expected one call, {ending.value}, by {tolerance_s:g} s"
+        f" after {at_ns / 1e9:.3f} s; what ends a motion must be counted when it is known",
+    )
     (called_ns, outcome), is_done = calls[0], ending is Ending.DONE
     expect(bool(outcome) is is_done, f"{outcome!r} counts as {bool(outcome)}")
     expect((outcome.error is None) is is_done, f"{outcome!r} has the error {outcome.error!r}")

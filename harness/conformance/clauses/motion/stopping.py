@@ -29,6 +29,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     rest_for,
     sample_positions,
     shortest_s,
+    smooth_move,
     turn,
 )
 from motorhil.harness.rig.config.conformance import Capability
@@ -46,6 +47,7 @@ _EXAMPLES: Final = 6
 _SHARE: Final = 0.5
 _COAST_S: Final = 30.0
 _JITTER_S: Final = 0.002
+_SPARE: Final = 0.15  # of a move
 _AFTER_S: Final = 0.3
 
 
@@ -62,17 +64,20 @@ def _stop_halfway(
     finish(bench, motor, braking_s)
     expect_rest(bench, motor, f"{name} was reported done")
     found = position_of(bench, motor)
-    room = braking_distance(motor, motor.model.velocity_max)
-    spare = 0.15 * way
-    unit = motor.model.unit
+    made, room, unit = found - stopped_at, _room(motor, way), motor.model.unit
     expect(
-        stopped_at - begin - spare <= found - begin <= stopped_at - begin + room + spare,
+        -_SPARE * way <= made <= room,
         f"{name}, {stopped_at - begin:.4g} {unit} into a move of {way:g} {unit}, ended"
-        f" at {found - begin:.4g} {unit}; the braking distance is {room:.3g} {unit}",
+        f" {made:.4g} {unit} from there; expected at most {room:.3g} {unit}",
     )
     fault = motor.fault()
     expect(fault is None, f"{name} left a fault: {fault}")
     return begin, found
+
+
+def _room(motor: Motor, way: float) -> float:
+    """Return the largest distance of a motor from where it is stopped in a move by `way` [U]."""
+    return braking_distance(motor, motor.model.velocity_max) + _SPARE * abs(way)
 
 
 @clause(
@@ -380,7 +385,11 @@ def path_after_stop_forgets_old_target(bench: RigProtocol) -> None:
     """After a stop, the motor neither turns round nor creeps on; the next start begins there."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     motor.enable()
-    for name, begin in (("a trajectory", _follow), ("a replaced set-point", _aim_twice)):
+    for name, begin in (
+        ("a trajectory", _follow),
+        ("a replaced set-point", _aim_twice),
+        ("a complex trajectory", _stream),
+    ):
         for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
             try:
                 begin(motor, way)
@@ -399,6 +408,8 @@ def _expect_short_path(bench: RigProtocol, motor: Motor, way: float, what: str) 
     finish(bench, motor)
     turned = _reach(samples, way) - samples[-1][1] * copysign(1.0, way)
     window, unit = bench.facts.window, motor.model.unit
+    made, room = abs(samples[-1][1] - samples[0][1]), _room(motor, way)
+    expect(made <= room, f"{what}: moved on by {made:.4g} {unit}; expected at most {room:.4g}")
     # It may turn above the place where it is held, and settle below. A host that makes this place
     # from measurements does not know when, to the millisecond, they were made.
     most = 2.0 * window + motor.model.velocity_max * _JITTER_S
@@ -429,6 +440,10 @@ def _reach(samples: Sequence[tuple[float, float]], way: float) -> float:
 
 def _follow(motor: Motor, way: float) -> None:
     follow(motor, TrapezoidalTrajectory(way))
+
+
+def _stream(motor: Motor, way: float) -> None:
+    follow(motor, smooth_move(motor, way))
 
 
 def _aim_twice(motor: Motor, way: float) -> None:

@@ -54,6 +54,8 @@ def inputs_are_shown(bench: DriveBench) -> None:
                 f"bit {bit.bit_length() - 1} of 60FDh = {value}",
             )
             drive.expect(bool(seen & bit) == bool(value), what, wanted, f"{seen:08X}h")
+            wanted = f"no other bit than in {before:08X}h"
+            drive.expect(not (seen ^ before) & ~bit, what, wanted, f"{seen:08X}h")
             if seen != before:
                 data = [int.from_bytes(one.data[:4], "little") for one in told]
                 cause = "the change is no event of the TPDO"

@@ -120,7 +120,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--only", default="", metavar="TEXT", help="in functions of such names")
     parser.add_argument("--bench", default="", metavar="TEXT", help="on benches of such names")
     parser.add_argument(
-        "--seconds", type=float, default=5.0, metavar="S", help="cost of a mutant's checks"
+        "--seconds", type=float, default=10.0, metavar="S", help="cost of a mutant's checks"
     )
     parser.add_argument(
         "--clause", action="append", metavar="ID", help="try these alone, without measuring"

@@ -66,19 +66,20 @@ class Execution:
         return not mutant.is_in_function or bool(bits >> mutant.statement & 1)
 
     def plan(self, mutant: Mutant, within_s: float) -> list[Run]:
-        """Return the runs that can kill a mutant, the cheapest first, of a limited cost.
+        """Return the runs that can kill a mutant, of a limited cost.
 
-        Every clause comes once before any comes for the second time, on another bench.
+        Every clause comes once, the cheapest first, before any comes for the second time, on
+        another bench. As in a run of the kit, the first bench is any; here the mutant draws it.
         """
         bit = 1 << mutant.statement if mutant.is_in_function else -1
         able = [one for one in self.runs if one.hits.get(mutant.file, 0) & bit and one.is_able]
-        able.sort(key=lambda one: one.cpu_s)
+        able.sort(key=lambda one: _drawn(mutant.function, mutant.change, one.clause, one.bench))
         turns: dict[str, int] = {}
         ranked = []
         for one in able:
             turns[one.clause] = turns.get(one.clause, 0) + 1
             ranked.append((turns[one.clause], one))
-        ranked.sort(key=lambda pair: pair[0])
+        ranked.sort(key=lambda pair: (pair[0], pair[1].cpu_s))
         chosen, cost_s = [], 0.0
         for _, one in ranked:
             if chosen and cost_s + one.cpu_s > within_s:
@@ -86,6 +87,10 @@ class Execution:
             cost_s += one.cpu_s
             chosen.append(one)
         return chosen
+
+
+def _drawn(*words: str) -> bytes:
+    return blake2b("\n".join(words).encode(), digest_size=8).digest()
 
 
 def of_clauses(clauses: Collection[str], only: str = "") -> list[Run]:

@@ -186,3 +186,31 @@ def test_invalid_rule_is_refused_by_name(facts):
 def test_invalid_line_is_refused(baud, parity, stop_bits):
     with pytest.raises(ValueError, match="serial line rs485: "):
         SerialLine("rs485", baud, parity, stop_bits)
+
+
+# ---- without silences: protocols that delimit their packets themselves ----
+
+
+def test_line_without_silences_delivers_characters_only():
+    one = SerialLine("ttl", 1_000_000, "N", 1, silences=False)
+    left, right = one.attach("left"), one.attach("right")
+    one.submit(left, b"abc", 0)
+    one.submit(right, b"de", 5_000_000)
+    assert one.expire(10_000_000_000) == [
+        (CHARACTERS, b"abc", left, 0),
+        (SENT, b"", left, 30_000),
+        (CHARACTERS, b"de", right, 5_000_000),
+        (SENT, b"", right, 5_020_000),
+    ]
+    assert (one.t15_ns, one.t35_ns, one.frames) == (0, 0, 0)
+    assert one.next_deadline_ns() is None
+
+
+def test_bursts_without_a_pause_stay_apart_by_sender():
+    one = SerialLine("ttl", 1_000_000, "N", 1, silences=False)
+    left, right = one.attach("left"), one.attach("right")
+    one.submit(left, b"abc", 0)
+    one.submit(right, b"de", 30_000)
+    heard = [data for kind, data, _, _ in one.expire(1_000_000) if kind == CHARACTERS]
+    assert heard == [b"abc", b"de"]
+    assert one.collisions == 0

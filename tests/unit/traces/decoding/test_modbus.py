@@ -57,6 +57,32 @@ def exchange(request, response, unit=1, decoder=None):
             *("0104A10001", "8102", "read coil 04A1h"),
             "refuses read coil 04A1h: exception 2, illegal data address",
         ),
+        (  # telegrams of igus, Operating Manual dryve D1 V2.4, pages 104 to 110
+            *("2B0D0000006041000000 0002", "2B0D0000006041000000 00024006"),
+            "read object 6041h statusword",
+            "object 6041h statusword = 0640h (switch on disabled, target reached)",
+        ),
+        (
+            *("2B0D010000609201000000 0418150000", "2B0D010000609201000000 00"),
+            "write object 6092h:1 feed = 5400",
+            "takes object 6092h:1 feed = 5400",
+        ),
+        (
+            *("2B0D010000604000000000 020F01", "AB02"),
+            "write object 6040h controlword = 010Fh (enable operation, halt)",
+            "refuses write object 6040h controlword = 010Fh (enable operation, halt): exception 2,"
+            " illegal data address",
+        ),
+        (
+            *("2B0D0000006061000000 0001", "2B0D0000006061000000 000106"),
+            "read object 6061h modes of operation display",
+            "object 6061h modes of operation display = 6 (hm (homing))",
+        ),
+        (  # wrong byte count
+            *("2B0D0000006041000000 0002", "2B0D0000006041000000 000240"),
+            "read object 6041h statusword",
+            "answers encapsulated interface (2Bh): 0D 00 00 00 60 41 00 00 00 00 02 40",
+        ),
     ],
 )
 def test_request_and_response_in_words(request_pdu, response_pdu, asked, told):

@@ -155,3 +155,11 @@ def test_servo_of_another_series_is_refused(rig, monkeypatch):
 def test_mistake_in_a_rig_is_told_with_its_line(old, new, told):
     with pytest.raises(RigError, match=told), opened(TEXT.replace(old, new, 1)) as rig:
         rig.motors["left"].enable()
+
+
+@pytest.mark.parametrize("key", ["unit", "function"])
+def test_fault_by_unit_on_a_serial_line_is_refused(key):
+    fault = f'[[fault]]\nbus = "line"\nkind = "lose"\n{key} = 1\n'
+    told = f'{key}: bus "line" is of kind serial, whose protocol is not known; write sender instead'
+    with pytest.raises(RigError, match=told), opened(TEXT + fault):
+        pass

@@ -266,6 +266,19 @@ def test_command_of_another_program_interrupts():
         assert motor.state() is MotorState.DISABLED
 
 
+def test_motion_that_is_refused_is_not_kept():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        hardware = motor.hardware
+        held = hardware.present()
+        far = held._replace(p=2.0)
+        hardware.close()
+        with pytest.raises(LinkError, match="closed"):
+            hardware.follow(lambda at_s: far, 1.0)
+        assert hardware.present() != far
+
+
 def test_reader_does_not_disturb_another_program():
     """It is silent while it hears answers to others."""
     with opened() as rig:

@@ -12,6 +12,7 @@ from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.motorapi import (
     ControlMode,
+    ControlVariable,
     DerivativeLimits,
     DeviceFault,
     LinkError,
@@ -131,6 +132,34 @@ def test_stop_slows_down_and_holds(rig):
     rig.runtime.run_for(1.0)
     assert true(rig) == pytest.approx(here, abs=0.001)
     assert motor.state() is MotorState.ENABLED
+
+
+def test_velocity_is_kept_until_the_stop(rig):
+    motor = rig.motors["left"]
+    motor.enable()
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=2)
+    rig.runtime.run_for(0.5)  # longer than the watchdog
+    assert true(rig, "velocity_rad_s") == pytest.approx(1.0, abs=0.05)
+    motor.stop()
+    motor.wait_until_done(timeout_s=2)
+    rig.runtime.run_for(0.5)
+    assert true(rig, "velocity_rad_s") == 0.0
+    assert motor.state() is MotorState.ENABLED
+
+
+def test_home_makes_the_place_zero():
+    with opened(drive=f"{FREE}initial_position_rad = 0.02") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        assert not motor.is_referenced()
+        motor.home(35)
+        motor.wait_until_done(timeout_s=1)
+        assert motor.is_referenced()
+        assert motor.position() == pytest.approx(0.0, abs=1e-4)
+        assert true(rig) == pytest.approx(0.02, abs=1e-4)
 
 
 def test_fault_is_told_in_words_and_reset(rig):
@@ -262,6 +291,27 @@ def test_other_register_map_is_refused(version):
         pytest.raises(PeerError, match=f"register map {version}; expected 5"),
     ):
         rig.motors["left"].enable()
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("watchdog_ms = 29.9", "too short for poll_ms = 10; at least 3 times poll_ms"),
+        ("poll_ms = 0", "poll_ms"),
+        ("rotor_to_output = 2", "did you mean rotor_to_output_ratio"),
+    ],
+)
+def test_wrong_option_is_named(key, message):
+    with opened(motor=key) as rig, pytest.raises(RigError, match=message):
+        rig.motors["left"].enable()
+
+
+def test_shortest_watchdog_is_fed():
+    with opened(motor="watchdog_ms = 30") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 1.0)
+        motor.wait_until_done(timeout_s=3)
 
 
 def test_silent_drive_is_a_link_error(rig):

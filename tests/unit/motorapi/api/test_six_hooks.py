@@ -16,6 +16,8 @@ from motorhil.motorapi.errors import (
 from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.hooks import Hooks
 from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.outcome import Ending
+from motorhil.motorapi.runtime.api import ChangeCounter
 from motorhil.motorapi.state import Measurement, MotorState
 from motorhil.motorapi.synchronization.quality import SyncLevel
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
@@ -164,6 +166,30 @@ def test_fault_of_a_polled_motor_ends_its_wait(hw):
     with pytest.raises(DeviceFault, match="communication"):
         motor.wait_until_done(timeout_s=1.0)
     assert motor.fault() == hw.fault
+
+
+class AskedMotor(SixMotor):
+    """A motor on a link that counts frames, whose drive is asked: `_refresh` evaluates them."""
+
+    heard = None
+
+    def _refresh(self):
+        self.runtime.wait_until(lambda: False, 0.001)
+        self.hw.physical.news.grow()  # the last frame of the answer
+        self.heard = super()._latest()
+        return 0.01
+
+    def _latest(self):
+        return self.heard
+
+
+def test_end_of_an_asked_motor_is_notified(hw):
+    hw.physical.news = ChangeCounter()
+    motor, outcomes = AskedMotor(hw), []
+    move(motor, 1.0, wait=False)
+    motor.on_done(outcomes.append)
+    motor.wait_until_done(timeout_s=5.0)
+    assert [outcome.ending for outcome in outcomes] == [Ending.DONE]
 
 
 def test_power_lost_in_a_motion_interrupts_it(motor, hw):
