@@ -30,6 +30,7 @@ from motorhil.emulators.api import (
     SettingError,
     TablesByKey,
     controller,
+    nearest,
     number,
     on_own_time,
     read,
@@ -117,7 +118,8 @@ class Servo:
         self._model: Final = MODELS[own.model]
         self._firmware: Final = self._model.firmware if own.firmware is None else own.firmware
         self._line_bit_s: Final = line_bit_s
-        delivered = {"id": own.unit, **_rate(line_bit_s), **own.registers}
+        rates = BAUD[: 7 if self._model.is_x330 else 8]
+        delivered = {"id": own.unit, **_rate(line_bit_s, rates), **own.registers}
         self.memory: Final = Memory(self._model, self._firmware, delivered)
         for name, value in own.registers.items():
             self._require(name, value)
@@ -143,10 +145,12 @@ class Servo:
             self._tell("info", motor.oscillator.told())
 
     def _require(self, name: str, value: int) -> None:
-        item = self.memory.items.get(name)
+        items = self.memory.items
+        item = items.get(name)
         if item is None or item.low is None or item.high is None:
+            known = [one.name for one in items.values() if one.low is not None]
             problem = "is not a writable register of this model"
-            raise SettingError(("registers", name), problem, "see docs/reference/dynamixel.md")
+            raise SettingError(("registers", name), problem, nearest(name, known))
         if not item.low <= value <= item.high:
             problem = f"{value} is out of range; allowed: {item.low} to {item.high}"
             raise SettingError(("registers", name), problem)
@@ -634,7 +638,7 @@ def _places(heard: Packet) -> list[tuple[int, int, int, int]]:
     return places
 
 
-def _rate(line_bit_s: int | None) -> dict[str, int]:
+def _rate(line_bit_s: int | None, rates: Sequence[int]) -> dict[str, int]:
     """Return the register of the line's bit rate.
 
     Raises:
@@ -642,10 +646,10 @@ def _rate(line_bit_s: int | None) -> dict[str, int]:
     """
     if line_bit_s is None:
         return {}
-    if line_bit_s not in BAUD:
-        known = ", ".join(map(str, BAUD))
+    if line_bit_s not in rates:
+        known = ", ".join(map(str, rates))
         raise SettingError(("bus",), f"its bit rate is {line_bit_s} bit/s", f"allowed: {known}")
-    return {"baud_rate": BAUD.index(line_bit_s)}
+    return {"baud_rate": rates.index(line_bit_s)}
 
 
 @controller(api=1, bus_kinds=("serial",))
