@@ -89,6 +89,7 @@ FOLDERS = (
     *("emulators", "emulators/gateways", "emulators/leadshine_pr", "emulators/modbus"),
     *("emulators/moteus", "emulators/oriental_az", "emulators/settings"),
     *("emulators/mit",),
+    *("emulators/dryve", "motorapi/adaptations/dryve"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
