@@ -30,7 +30,8 @@ _STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switc
     {
         *("SET-07", "TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),
         *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
-        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", *_OF_CANOPEN),
+        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
+        *_OF_CANOPEN,
     }
 )
 _SAMPLED = frozenset(  # by the host, along trapezoids and ramps of position, velocity, current
