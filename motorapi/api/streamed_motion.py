@@ -118,8 +118,13 @@ class StreamedMotion:
         return demand(at_s), (demand(at_s + _STEP_S) - demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
 
     def times(self) -> MotionTimes | None:
-        """Return when the first and the last set-point were on the bus; None: no motion yet."""
+        """Return when the first and the last set-point were on the bus; None: no motion yet.
+
+        A position that is held already has neither a beginning nor an end.
+        """
         if self._first is None:
+            return None
+        if self.variable is ControlVariable.POSITION and self._course[1] == 0.0:
             return None
         began_ns, ended_ns = (
             None if one is None else one.time_ns for one in (self._first, self._last)

@@ -5,6 +5,7 @@ sends single set-points.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
@@ -115,6 +116,16 @@ class StreamedMotor(Motor, Generic[HardwareT]):
         hardware = self.hardware
         sender = partial(hardware.send, ControlVariable.POSITION)
         hardware.drive.confirm(hardware.motions.hold(hardware.measured(), sender))
+
+    def _rounded(self, motion: "Motion", steps: float) -> "Motion":
+        """Return the motion with its target on the drive's grid of so many steps per unit.
+
+        A motion that starts within the same step has no way at all.
+        """
+        target = round(motion.target * steps)
+        if motion.variable is ControlVariable.POSITION and target == round(motion.start * steps):
+            return replace(motion, target=motion.start)
+        return replace(motion, target=target / steps)
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in _SUPPORTED

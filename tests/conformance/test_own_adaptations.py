@@ -37,8 +37,8 @@ _SAMPLED = frozenset(  # by the host, along trapezoids and ramps of position, ve
     {
         *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LIM-05", "LEAD-01", "LEAD-02"),
         *(f"TRAJ-{number:02}" for number in (4, 6, 7, 9, 10, 11, 12)),
-        *("HOME-01", "HOME-02", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
-        *("OTHER-01", "LOST-07", "LOST-08", *_OF_CANOPEN),
+        *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
+        *("OTHER-01", "LOST-07", "LOST-08", "LOW-06", "SYNC-19", *_OF_CANOPEN),
     }
 )
 NOT_APPLICABLE = {

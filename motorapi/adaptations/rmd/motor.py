@@ -11,7 +11,7 @@
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import copysign, tau
 from typing import TYPE_CHECKING, Final, final
 
@@ -128,8 +128,7 @@ class RmdMotor(StreamedMotor[RmdHwMotor]):
         super()._command(motion)
 
     def _quantise(self, motion: Motion) -> Motion:
-        step = 100.0 * self._scale(motion.variable)
-        return replace(motion, target=round(motion.target * step) / step)
+        return self._rounded(motion, 100.0 * self._scale(motion.variable))
 
     def _reset_fault(self) -> None:
         hardware = self.hardware

@@ -12,7 +12,7 @@ The motor interface's states are those of this program: a VESC reports none of i
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
@@ -149,7 +149,7 @@ class VescMotor(StreamedMotor[VescHwMotor]):
 
     def _quantise(self, motion: Motion) -> Motion:
         step = self._scale(motion.variable) * self.hardware.scale(MODES[motion.variable])
-        return replace(motion, target=round(motion.target * step) / step)
+        return self._rounded(motion, step)
 
     def _reset_fault(self) -> None:
         hardware = self.hardware
