@@ -369,7 +369,7 @@ def attack_servo(seed: str) -> Done:
     for _ in range(EPISODE):
         bare.run(dice.choice(_PAUSES_NS))
         if dice.random() < 0.01:
-            bare.stimulate(*dice.choice((*_INPUTS, ("hardware_error", 32), ("temperature_c", 99))))
+            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 32), ("temperature_c", 99))))
         data = damaged(dice, next(packets))
         cut = dice.randrange(len(data) + 1) if dice.random() < 0.1 else len(data)
         for part in (data[:cut], data[cut:]):

@@ -60,7 +60,7 @@ NOT_APPLICABLE = {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
             *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13)),
             *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "LOW-03", "SYNC-05"),
-            *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08"),
+            *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
             *("LOST-11", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
