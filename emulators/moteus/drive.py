@@ -176,6 +176,7 @@ class MoteusController:
         self._wanted = STOPPED  # the mode of the last command
         self._given_mode = STOPPED  # of the present frame, if `_has_command`
         self._has_command = False
+        self._measured: dict[int, float] = {}  # of the present frame, when it reads
         self._trajectory = Trajectory(0.0, 0.0, None, 0.0, inf, inf)
         self._began_ns = 0  # of the trajectory
         self._stop_at = nan
@@ -442,6 +443,7 @@ class MoteusController:
             return
         self._at(now_ns)
         self._has_command = False
+        self._measured = {}
         reply = bytearray() if can_id & 0x8000 else None
         if self._process(data_of(data), reply):
             if reply is not None:
@@ -501,6 +503,7 @@ class MoteusController:
     def _set(self, register: int, value: float) -> int:
         """Write a register; return the error, 0 if there is none."""
         register = r.SHADOWS.get(register, register)
+        self._measured = {}
         if register == r.MODE:
             if not 0 <= value < _MODES:
                 return r.UNKNOWN_REGISTER
@@ -533,7 +536,9 @@ class MoteusController:
     def _read(self, span: range, kind: int, reply: bytearray) -> bool:
         """Append the values of registers; return False if one fails, or they do not fit."""
         values: list[bytes] = []
-        measured = self._measured()
+        if not self._measured:
+            self._measured = self._measure()
+        measured = self._measured
         for register in span:
             if register in r.IDENTITY and kind == r.INT32:
                 values.append(r.encode(self._identity(register), "int", kind))
@@ -604,7 +609,7 @@ class MoteusController:
             return 0x65746F6D
         return table.serial_number >> 32 * (register & 0xF) & 0xFFFFFFFF
 
-    def _measured(self) -> dict[int, float]:
+    def _measure(self) -> dict[int, float]:
         """Return the values of all registers that any type can read."""
         servo, given = self._servo, self._given
         position, velocity, torque = servo.position(), servo.velocity(), servo.torque()

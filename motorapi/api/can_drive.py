@@ -271,6 +271,8 @@ class CanDrive:
             while not is_up():
                 if self.runtime.now_ns() >= end_ns:
                     reason = f"no {lacks} within {timeout_s:g} s"
+                    if self._heard is not None:
+                        reason += f"; last heard: {self._last_heard()}"
                     raise LinkError(link=self.label, reason=reason)
                 ask()
                 wait_until(self.runtime, is_up, _CONNECT_ASK_S)

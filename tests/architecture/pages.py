@@ -73,7 +73,7 @@ make() {{
     fi
 }}
 pip() {{ command python -m pip "$@" --quiet --disable-pip-version-check --no-index --no-deps \\
-    --no-build-isolation --target "$INSTALLED"; }}
+    --no-build-isolation --upgrade --target "$INSTALLED"; }}
 """
 
 

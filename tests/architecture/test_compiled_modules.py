@@ -5,6 +5,7 @@ until it is listed below or in setup.py.
 """
 
 import runpy
+import tomllib
 
 from tests.support.checkout import CHECKOUT, PACKAGES
 
@@ -85,11 +86,9 @@ INTERPRETED = {
     ),
 }
 # Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
+# The folders of the kinds of drives that have none are taken from the entry points.
 FOLDERS = (
-    *("emulators", "emulators/dynamixel", "emulators/gateways", "emulators/leadshine_pr"),
-    *("emulators/mit", "emulators/modbus", "emulators/moteus", "emulators/oriental_az"),
-    *("emulators/settings", "emulators/vesc"),
-    *("emulators/rmd",),
+    *("emulators", "emulators/gateways", "emulators/modbus", "emulators/settings"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
@@ -98,16 +97,20 @@ FOLDERS = (
     *("harness/oracles",),
     *("harness/pytest_plugin", "harness/replay", "harness/report", "harness/rig/config"),
     *("harness/sharing_tests", "harness/virtual_time/stdlib"),
-    *("motorapi", "motorapi/adaptations", "motorapi/adaptations/ideal", "motorapi/api"),
-    *("motorapi/adaptations/dynamixel", "motorapi/adaptations/leadshine"),
-    *("motorapi/adaptations/mit", "motorapi/adaptations/modbus", "motorapi/adaptations/moteus"),
-    *("motorapi/adaptations/moteus",),
-    *("motorapi/adaptations/rmd",),
-    *("motorapi/adaptations/vesc",),
-    *("motorapi/adaptations/oriental_az", "motorapi/functions", "motorapi/generation"),
+    *("motorapi", "motorapi/adaptations", "motorapi/adaptations/modbus", "motorapi/api"),
+    *("motorapi/functions", "motorapi/generation"),
     *("motorapi/locking", "motorapi/ownership", "motorapi/planning", "motorapi/synchronization"),
     *("traces/decoding", "traces/exchange", "traces/formats", "traces/semantics"),
 )
+_PLUGINS = ("motorhil.adaptations", "motorhil.controllers")
+
+
+def kinds(compiled_modules):
+    """Return the folders of the kinds of drives without a compiled module."""
+    points = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]["entry-points"]
+    targets = [target for group in _PLUGINS for target in points[group].values()]
+    folders = {target.split(".", 1)[1].rpartition(".")[0].replace(".", "/") for target in targets}
+    return folders - {name.rpartition("/")[0] for name in compiled_modules}
 
 
 def compiled(monkeypatch):
@@ -124,9 +127,9 @@ def test_interpreted_modules_are_listed_with_a_reason(monkeypatch):
         for path in (CHECKOUT / package).rglob("*.py")
         if path.name != "__init__.py"
     }
-    found = {
-        name for name in modules - compiled(monkeypatch) if name.rpartition("/")[0] not in FOLDERS
-    }
+    hot = compiled(monkeypatch)
+    plain = {*FOLDERS, *kinds(hot)}
+    found = {name for name in modules - hot if name.rpartition("/")[0] not in plain}
     listed = [name for names in INTERPRETED.values() for name in names]
     assert sorted(found) == sorted(listed)
 

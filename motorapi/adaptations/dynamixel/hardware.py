@@ -81,7 +81,7 @@ _ERRORS: Final = {
 
 @final
 class GroupStart:
-    """A trigger that starts the armed servos of a line by one sync write.
+    """A trigger that starts the armed servos of one mode on a line by one sync write.
 
     Attributes:
         armed: what is to be called after the start of each servo.
@@ -91,18 +91,15 @@ class GroupStart:
         self.armed: dict[DynamixelHwMotor, Callable[[], None]] = {}
 
     def fire(self) -> None:
-        """Send the packet, which is not answered: one for each kind of motion."""
+        """Send the packet, which is not answered."""
         armed, self.armed = self.armed, {}
-        by_place: dict[tuple[int, int], list[DynamixelHwMotor]] = {}
-        for servo in armed:
-            address, data = servo.prepared
-            by_place.setdefault((address, len(data)), []).append(servo)
-        for (address, length), together in by_place.items():
-            head = address.to_bytes(2, "little") + length.to_bytes(2, "little")
-            each = (bytes((one.registers.unit,)) + one.prepared[1] for one in together)
-            owned = [mine for one in together for mine in one.registers.owned]
-            request = Request(SYNC_WRITE, head + b"".join(each))
-            together[0].registers.line.tell(request, BROADCAST, *owned)
+        servos = list(armed)
+        address, data = servos[0].prepared
+        head = address.to_bytes(2, "little") + len(data).to_bytes(2, "little")
+        each = (bytes((one.registers.unit,)) + one.prepared[1] for one in servos)
+        owned = [mine for one in servos for mine in one.registers.owned]
+        request = Request(SYNC_WRITE, head + b"".join(each))
+        servos[0].registers.line.tell(request, BROADCAST, *owned)
         for started in armed.values():
             started()
 
@@ -112,7 +109,7 @@ class DynamixelLine(ExchangeLine[Request, Status]):
     """The host's end of one line with servos.
 
     Attributes:
-        start: the trigger of groups on this line.
+        starts: the triggers of groups on this line, by mode.
     """
 
     HAS_SILENCES: ClassVar[bool] = False
@@ -120,7 +117,7 @@ class DynamixelLine(ExchangeLine[Request, Status]):
 
     def __init__(self, line: ByteLine, runtime: "Runtime", lock: "ProcessLock | None") -> None:
         super().__init__(line, runtime, lock)
-        self.start: Final = GroupStart()
+        self.starts: Final = {mode: GroupStart() for mode in MODES}
 
     def _codec(self) -> DynamixelCodec:
         return DynamixelCodec(self.name)
@@ -135,11 +132,10 @@ class DynamixelUnit(LineUnit[Request, Status]):
     def _units(self, line: ByteLine) -> range:
         return range(253)
 
-    @property
-    def group(self) -> GroupStart:
-        """The trigger of groups on its line."""
+    def group(self, mode: str) -> GroupStart:
+        """Return the trigger of groups of this mode on its line."""
         assert isinstance(self.line, DynamixelLine)
-        return self.line.start
+        return self.line.starts[mode]
 
     def read(self, address: int, count: int) -> bytes:
         """Return bytes of the control table; raises as `LineUnit.ask_repeatedly`."""

@@ -38,9 +38,9 @@ class DynamixelMotor(PolledMotor[DynamixelHwMotor]):
     def _sync_offer(self) -> SyncOffer:
         return SyncOffer(
             SyncLevel.TRIGGERED,
-            ("dynamixel", self.hardware.registers.line.name),
+            ("dynamixel", self.hardware.registers.line.name, self.hardware.mode),
             None,
-            "one sync write starts all servos on the line",
+            "one sync write starts all servos of one mode on the line",
             no_firing_bound="the wait for a turn on the line is not bounded",
             no_start_bound="the servo's own cycle is not known",
             no_end_bound="the servo's own clock is not known",
@@ -50,12 +50,13 @@ class DynamixelMotor(PolledMotor[DynamixelHwMotor]):
         alone = super()._arm(motion, together=together)
         if not together:
             return alone
-        trigger = self.hardware.registers.group
+        trigger = self.hardware.registers.group(self.hardware.mode)
         trigger.armed[self.hardware] = self.fired
         return trigger
 
     def _disarm(self) -> None:
-        self.hardware.registers.group.armed.pop(self.hardware, None)
+        hardware = self.hardware
+        hardware.registers.group(hardware.mode).armed.pop(hardware, None)
 
     def _confirm(self, motion: Motion) -> None:
         super()._confirm(motion)

@@ -484,3 +484,64 @@ def test_wrong_setting_is_refused_with_its_name(own, told):
 def test_line_at_an_impossible_rate_is_refused():
     with pytest.raises(SettingError, match="bit rate is 19200"):
         Bench(baud=19_200)
+
+
+# ---- what slips of the emulator have shown --------------------------------------------------
+
+
+def test_watchdog_measures_with_torque_only_and_needs_0():
+    bench = Bench()
+    moved(bench, (98, 1, 5))
+    bench.run_ms(300)
+    assert read(bench, 98, 1) == 5
+    moved(bench, (64, 1, 1))
+    bench.run_ms(300)
+    assert read(bench, 98, 1) == 0xFF
+    assert error(bench, write(98, 1, 7)) == 4
+    assert error(bench, write(98, 1, 0)) == 0
+
+
+def test_demand_ends_at_the_very_goal():
+    for drive_mode in (0, 1):
+        bench = Bench({"registers": {"operating_mode": 4, "drive_mode": drive_mode}})
+        moved(bench, (64, 1, 1), (116, 4, 3001))
+        bench.run_ms(100)
+        assert read(bench, 140, 4, signed=True) == 3001
+
+
+def test_torque_on_in_position_mode_forgets_turns():
+    bench = Bench()
+    bench.stimulate("load_torque_n_m", -0.1)
+    bench.run_ms(2000)
+    bench.stimulate("load_torque_n_m", 0.0)
+    bench.run_ms(1000)
+    turned = position(bench)
+    assert turned > 4096
+    moved(bench, (64, 1, 1))
+    assert position(bench) == pytest.approx(turned % 4096, abs=2)
+
+
+def test_time_based_ramp_is_half_of_the_time_at_most():
+    bench = Bench({"registers": {"drive_mode": 4, "operating_mode": 4}})
+    moved(bench, (108, 4, 1800), (112, 4, 2000), (64, 1, 1))
+    begun_ns = bench.now_ns
+    moved(bench, (116, 4, 2048 + 3000))
+    while read(bench, 122, 1):
+        pass
+    assert 2000 <= (bench.now_ns - begun_ns) / MS <= 2100
+
+
+def test_reboot_forgets_a_registered_write():
+    bench = Bench()
+    assert error(bench, "FFFFFD00010900046800C8000000AE8E") == 0
+    bench.ask(REBOOT)
+    bench.run_ms(500)
+    assert error(bench, ACTION) == 2
+
+
+@pytest.mark.parametrize(("pause_ms", "answers"), [(40, True), (60, False)])
+def test_servo_in_turn_gives_up_after_50_ms(pause_ms, answers):
+    bench = Bench({"unit": 2})
+    assert bench.ask(SYNC_READ_132, pause_ms) == ""
+    heard = bench.ask("FFFFFD000108005500A60000008CC0")  # the status of servo 1
+    assert (heard == hexed(status(2, 0, (2048).to_bytes(4, "little")))) is answers

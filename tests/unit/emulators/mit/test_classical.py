@@ -125,6 +125,43 @@ def test_cubemars_keeps_its_last_command():
     assert command(bench)[0] == pytest.approx(1.0, abs=1e-3)  # the kick at the next enable
 
 
+def test_mini_cheetah_forgets_its_command_when_it_leaves():
+    bench = Bench(model="mini_cheetah")
+    bench.ask(ENTER)
+    bench.ask("8A3C7FF0513337FF")
+    bench.ask(LEAVE)
+    assert command(bench) == (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_clear_is_a_request_of_damiao_only():
+    bench = Bench(model="ak80_6_v2")
+    bench.drive.stimulate("fault", 2, bench.now_ns)
+    bench.ask(CLEAR)
+    assert bench.ask(REST)[0][1][7] == 2
+
+
+def test_zero_in_motor_mode_moves_the_target():
+    bench = Bench(model="dm4310", initial_position_rad=1.0)
+    bench.ask(ENTER)
+    bench.ask("8A3C7FF0513337FF")  # 1 rad, kp 10: it is there
+    bench.ask(ZERO)
+    bench.run(2000)
+    assert bench.truth()["position_rad"] == pytest.approx(2.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("model", "kept"), [("ak80_6_v2", False), ("dm4310", True)])
+def test_zero_without_power_is_kept_by_some(model, kept):
+    bench = Bench(model=model, initial_position_rad=0.03)
+    bench.ask(ZERO)
+    bench.drive.stimulate("power", 0, bench.now_ns)
+    bench.run(2000)
+    bench.drive.stimulate("power", 1, bench.now_ns)
+    bench.run(200)
+    turn_inc, inc_rad = 2000, 2000 * 66 / 6.283185307
+    lost = round(0.03 * inc_rad) % turn_inc
+    assert bench.truth()["position_inc"] == pytest.approx(0 if kept else lost, abs=1)
+
+
 def test_damiao_without_commands_has_a_fault():
     bench = Bench(model="dm4310", watchdog_s=0.05)
     bench.ask(ENTER)
@@ -231,9 +268,14 @@ def test_over_temperature_of_the_plant_is_a_fault():
     bench = Bench(model="ak80_64", plant=plant)
     bench.ask(ENTER)
     bench.ask("FFFF7FFFFF333FFF")  # against the stop
-    bench.run(20_000)
+    while bench.truth()["is_on"] and bench.now_ns < 20_000_000_000:
+        bench.run(10)
     told = bench.ask(REST)[0][1]
     assert told[7] == 1
+    assert bench.truth()["is_on"] == 0.0
+    bench.ask(LEAVE)
+    bench.ask(ENTER)
+    assert bench.ask(REST)[0][1][7] == 1  # it is still too hot
     assert bench.truth()["is_on"] == 0.0
 
 

@@ -101,6 +101,13 @@ def test_query_of_a_user_is_answered_as_in_his_report():
     assert reply[:6] == "21000a"
 
 
+@pytest.mark.parametrize(("given", "kept"), [("7f", 8.0), ("08", 8.0), ("07", 7.0), ("80", -8.0)])
+def test_clock_trim_is_limited_to_8(given, kept):
+    bench = Bench()
+    bench.tell("0171" + given)
+    assert bench.read(0x071) == [kept]
+
+
 def test_uuid_is_read_by_broadcast_with_its_flag():
     bench = Bench(serial_number=0x0102030405060708)
     reply = bench.tell("1804d00211d802", 0x807F)

@@ -3,10 +3,13 @@
 Times and codes: mjbots/moteus fw/bldc_servo_control.h, fw/bldc_servo_position.h, fw/error.h.
 """
 
-from math import nan, pi, sqrt
+from math import inf, nan, pi, sqrt
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from motorhil.emulators.moteus.control import Trajectory
 from motorhil.settings import SettingError
 from tests.unit.emulators.moteus.bench import Bench
 
@@ -439,3 +442,53 @@ def test_wrong_setting_is_named(table, message):
 def test_wrong_stimulus_is_refused(name, value):
     with pytest.raises(ValueError, match=name):
         Bench().drive.stimulate(name, value, 0)
+
+
+def test_timeout_limits_the_torque_of_zero_velocity():
+    bench = running(timeout_max_torque_n_m=0.005).run(10)
+    assert bench.mode() == TIMEOUT
+    assert abs(bench.read(3)[0]) == pytest.approx(0.005, rel=0.05)
+
+
+def test_start_of_a_turning_motor_keeps_its_velocity():
+    bench = running()
+    bench.library(bench.client.make_stop())
+    bench.position(position=nan, accel_limit=20.0, watchdog_timeout=nan).run(14)
+    assert bench.mode() == POSITION
+    assert bench.read(CONTROL_SPEED)[0] > 3.0
+
+
+LIMITS = st.floats(0.5, 20.0)
+
+
+@given(
+    start=st.floats(-5, 5),
+    velocity=st.floats(-20, 20),
+    target=st.none() | st.floats(-5, 5),
+    final=st.floats(-1, 1),
+    speed=LIMITS | st.just(inf),
+    acceleration=LIMITS | st.just(inf),
+)
+def test_trajectory_is_continuous_and_ends_at_its_target(
+    start, velocity, target, final, speed, acceleration
+):
+    final = max(-speed, min(speed, final))
+    path = Trajectory(start, velocity, target, final, speed, acceleration)
+    steps = 300
+    end_s = path.duration_s if path.duration_s < inf else 1.0
+    before = path.at(0.0)
+    for step in range(1, steps + 1):
+        time_s = end_s * step / steps
+        now = path.at(time_s)
+        fastest = max(abs(velocity), speed if speed < inf else abs(now[1]) + 30.0)
+        assert abs(now[1]) <= fastest * (1 + 1e-9)
+        assert abs(now[0] - before[0]) <= fastest * end_s / steps * (1 + 1e-6) + 1e-6
+        if acceleration < inf:
+            rise = acceleration * end_s / steps
+            assert abs(now[1] - before[1]) <= rise * (1 + 1e-6) + 1e-6
+        before = now
+    if path.duration_s < inf:
+        later = path.at(path.duration_s + 1.0)
+        assert later[1] == final
+        if target is not None:
+            assert later[0] == pytest.approx(target + final * (path.duration_s + 1.0))

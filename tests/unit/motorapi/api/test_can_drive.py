@@ -216,6 +216,12 @@ def test_first_of_two_callers_connects_for_both(rig, drive):
     assert (other.error, len(asked), len(set(asked))) == (None, 3, 1)
 
 
+def test_frame_that_was_not_recognised_is_named(rig, drive):
+    drive.handle(ANSWER, lambda data, time_ns: None)
+    with pytest.raises(LinkError, match=r"no reply within 0\.5 s; last heard: .*h with 21 at 0\."):
+        drive.connect(lambda: False, lambda: rig.peer.send(pack(ANSWER, b"!")), 0.5, "reply")
+
+
 def test_drive_that_is_not_heard_is_a_link_error(drive):
     with pytest.raises(LinkError, match=r"can0 node 1: no heartbeat within 0\.5 s"):
         drive.connect(lambda: False, lambda: None, 0.5, "heartbeat")

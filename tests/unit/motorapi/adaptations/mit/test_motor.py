@@ -113,6 +113,8 @@ def test_requests_are_those_of_another_client():
         assert p[-1] == pytest.approx(1.0, abs=25 / 65535)
         assert max(v) == pytest.approx(8**0.5, abs=0.1)  # a triangle: 8 rad/s2 over 1 rad
         assert len(commands) >= 200  # every 5 ms
+        t = [uint_to_float(one & 0xFFF, table["T_MIN"], table["T_MAX"], 12) for one in bits]
+        assert max(t) == pytest.approx(0.0103 * 8 + 0.04, abs=24 / 4095)  # inertia and friction
 
 
 def test_enable_causes_no_kick_after_an_old_command():
@@ -132,6 +134,51 @@ def test_enable_causes_no_kick_after_an_old_command():
         motor.enable()
         rig.runtime.run_for(0.5)
         assert true(rig) == pytest.approx(before, abs=0.002)
+
+
+def test_present_position_is_commanded_before_enabling():
+    with opened(emulated="initial_position_rad = 1.0") as rig:
+        motor = rig.motors["left"]
+        motor.position()
+        with can.Bus(interface="emulated", channel="can0") as bus:
+            motor.enable()
+            heard = [bus.recv(0.0) for _ in range(40)]
+        sent = [bytes(one.data) for one in heard if one and one.arbitration_id == 1]
+        before = sent[: sent.index(b"\xff" * 7 + b"\xfc")][-1]
+        assert before[:2] == bytes.fromhex("8A3C")
+        assert int.from_bytes(before[3:5], "big") & 0xFFF == 1638  # kp 200 of 500
+
+
+def test_motor_at_rest_reads_zero_which_has_no_code():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        assert motor.position() == 0.0
+        assert motor.velocity() == 0.0
+        assert motor.torque() == 0.0
+
+
+def test_stop_ends_where_the_deceleration_leads():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 6.0)
+        rig.runtime.run_for(0.8)  # 4 rad/s since 0.5 s
+        at = true(rig)
+        motor.stop()
+        motor.wait_until_done(timeout_s=3)
+        assert true(rig) - at == pytest.approx(4.0**2 / (2 * 8.0), abs=0.03)
+
+
+def test_limp_motor_that_is_on_counts_as_disabled():
+    """Another host has switched the drive on, and is silent now."""
+    with opened("rs01") as rig:
+        motor = rig.motors["left"]
+        motor.position()
+        with can.Bus(interface="emulated", channel="can0") as bus:
+            bus.send(can.Message(arbitration_id=0x0300FD01, data=bytes(8)))
+            rig.runtime.run_for(0.2)
+        assert true(rig, "is_on") == 1.0
+        assert motor.state() is MotorState.DISABLED
 
 
 def test_velocity_and_torque_are_commands_without_stiffness():
@@ -264,6 +311,8 @@ def test_command_of_another_program_interrupts():
         with pytest.raises(MotionInterrupted, match="another program"):
             motor.wait_until_done(timeout_s=3)
         assert motor.state() is MotorState.DISABLED
+        rig.runtime.run_for(0.2)
+        assert true(rig, "command_kp_n_m_rad") == 0.0  # nothing goes on
 
 
 def test_motion_that_is_refused_is_not_kept():

@@ -150,6 +150,22 @@ def test_velocity_is_kept_until_the_stop(rig):
     assert motor.state() is MotorState.ENABLED
 
 
+@pytest.mark.parametrize("offset_ms", [0, 0.1, 4.9, 5.1, 9.9])
+def test_stop_is_over_at_rest_only(rig, offset_ms):
+    """A reply to a query from before the stop says that the velocity was reached."""
+    motor = rig.motors["left"]
+    motor.enable()
+    motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+    motor.set_setpoint(1.0)
+    motor.start()
+    motor.wait_until_done(timeout_s=2)
+    now_ns = rig.runtime.now_ns()
+    rig.runtime.run_for((10_000_000 - now_ns % 10_000_000) / 1e9 + offset_ms / 1e3)
+    motor.stop()
+    motor.wait_until_done(timeout_s=2)
+    assert true(rig, "velocity_rad_s") == pytest.approx(0.0, abs=0.01)
+
+
 def test_home_makes_the_place_zero():
     with opened(drive=f"{FREE}initial_position_rad = 0.02") as rig:
         motor = rig.motors["left"]
