@@ -253,6 +253,12 @@ def test_turns_are_kept_or_lost_with_the_power(keeps, degrees):
     assert int.from_bytes(raw[4:], "little", signed=True) == pytest.approx(degrees * 100, abs=1)
 
 
+@pytest.mark.parametrize("value", ["00000000", "64000000", "60EA0000"])
+def test_acceleration_at_its_limits_is_taken(rmd, value):
+    assert rmd.told("43000000" + value)
+    assert rmd.told("4200000000000000") == "42000000" + value
+
+
 @pytest.mark.parametrize("value", ["63000000", "61EA0000"])
 def test_acceleration_out_of_range_is_ignored(rmd, value):
     assert rmd.ask("43000000" + value) is None

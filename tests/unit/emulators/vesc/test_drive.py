@@ -10,6 +10,7 @@ import pytest
 
 from motorhil.emulators.controller import SettingError
 from motorhil.emulators.vesc.drive import build
+from motorhil.emulators.vesc.packets import frames_of
 from tests.support.can.bench import EXTENDED, CanBench
 
 NODE = 23
@@ -177,6 +178,13 @@ def test_packet_of_301_bytes_uses_long_fragments(vesc):
     assert vesc.events == [("warning", "packet 20 is not emulated")]
 
 
+@pytest.mark.parametrize("length", [7, 19, 252, 253, 259, 260, 301, 512])
+def test_answer_of_any_length_is_cut_like_a_request(length):
+    payload = bytes(i * 7 & 0xFF for i in range(length))
+    told = [(one << 8 | 0x17, data.hex().upper()) for one, data in frames_of(payload, 0xFD, 0)]
+    assert told == packet(payload)
+
+
 def reassembled(frames, sender=0xFD):
     """Return the packet in the frames of an answer to `sender`."""
     payload = b""
@@ -279,6 +287,19 @@ def test_small_current_releases_the_motor(vesc):
     assert vesc.true("mode") == OFF
     vesc.command(1, 1000).command(1, 0)
     assert vesc.true("mode") == OFF
+
+
+def test_relative_current_against_the_motion_is_of_the_brake_limit(vesc):
+    vesc.tell(0x1517, "FFFFF060000007D0")  # -4 A, 2 A
+    vesc.command(3, 21_000).run(1500).command(10, -50_000).run(5)
+    assert vesc.true("current_a") == pytest.approx(-2.0, rel=0.05)
+
+
+def test_speed_ramps_from_the_speed_of_a_turning_motor(vesc):
+    vesc.command(0, 1360).run(500)
+    assert vesc.erpm() == pytest.approx(600, abs=150)
+    vesc.command(3, 3000).run(40)
+    assert vesc.erpm() == pytest.approx(1600, abs=250)  # not 1000, as from rest
 
 
 def test_brake_never_drives(vesc):

@@ -292,6 +292,27 @@ def test_restarted_drive_is_noticed_and_moves_again():
         assert true(rig) == pytest.approx(1.5, abs=0.005)
 
 
+def test_restart_at_the_place_of_power_on_is_told_by_the_boot_notice():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        rig.runtime.run_for(1.0)
+        motor.enable()
+        rig.runtime.run_for(1.5)
+        for power in (0, 1):
+            rig.controllers["left"].stimulate("power", power)
+        rig.runtime.run_for(0.6)
+        assert motor.state() is not MotorState.ENABLED
+
+
+def test_speeds_are_not_sent_ahead():
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 1.0, ControlVariable.VELOCITY)
+        first, *_ = (data for can_id, data in ear.heard() if can_id == 0x317)
+        assert first == "00000000"
+
+
 def test_drive_without_its_host_releases_the_motor():
     with opened() as rig:
         motor = rig.motors["left"]
