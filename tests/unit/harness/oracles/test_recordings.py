@@ -30,6 +30,7 @@ HELD = {
     "software": _CAN | {"sync-period"},
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
+    "dryve": {"torque-off"},
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
 }
