@@ -250,7 +250,7 @@ def test_every_example_is_listed_and_valid(bench, say):
     status, out, _ = say("list", "examples", "--json")
     examples = json.loads(out)
     assert [example["name"] for example in examples] == [
-        *("fido", "ideal_wheels", "rocky8", "rover", "two_wheels")
+        *("fido", "four_protocols", "ideal_wheels", "rocky8", "rover", "two_wheels")
     ]
     for example in examples:
         status, _, err = say("check", example["path"])
