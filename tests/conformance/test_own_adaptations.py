@@ -70,9 +70,9 @@ NOT_APPLICABLE = {
         {
             *("SET-04", "SET-07", "SET-10", "TRAJ-06"),  # no torque or current
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
-            *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", *_OF_CANOPEN),  # likewise
+            *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "HOME-03", "LOW-03", "LOW-04", "LOST-07", "OTHER-01", "SHARE-02"),
-            *("SYNC-06", "SYNC-11"),
+            *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
         }
     ),
     "oriental_az": _POLLED,
