@@ -4,6 +4,7 @@ import asyncio
 import signal
 import subprocess
 
+import can
 import moteus
 import pytest
 
@@ -30,7 +31,8 @@ position_max_rev = "none"
 
 
 @pytest.fixture
-def hub(tmp_path):
+def hub(tmp_path, monkeypatch):
+    monkeypatch.setattr(can, "rc", {})  # the library makes every bus of the process one of CAN FD
     (tmp_path / "rig.toml").write_text(RIG)
     path = tmp_path / "hub.sock"
     command = [*SERVE, "serve", str(tmp_path / "rig.toml"), "--socket", str(path)]

@@ -3,6 +3,7 @@ import os
 import signal
 import threading
 import time
+import tomllib
 import weakref
 from pathlib import Path
 
@@ -14,10 +15,15 @@ from motorhil.harness.examples import two_wheels
 from motorhil.harness.python_can.bus import EmulatedBus
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
+from tests.support.checkout import CHECKOUT
 from tests.support.plugin_rigs import FAULT, GOOD, WHEEL
 
 MS = 1_000_000
 TWO_WHEELS = Path(two_wheels.__file__).with_name("two_wheels.toml")
+
+
+PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+OWN = PROJECT["entry-points"]["motorhil.controllers"]
 
 
 @pytest.fixture
@@ -170,8 +176,7 @@ def test_second_rig_with_the_same_bus_is_refused(write):
             'kind = "echo"',
             'kind = "ecco"',
             'rig.toml:6: controller.left.kind: unknown controller kind "ecco" '
-            "(known: broken, cia401, cia402, dynamixel, echo, leadshine_pr, mit, moteus, "
-            "oriental_az, recorded, rmd, robstride, vesc); did you mean echo?",
+            f"(known: {', '.join(sorted([*OWN, 'broken', 'echo']))}); did you mean echo?",
         ),
         (
             "velocity_max_rad_s = 6.0",
