@@ -20,16 +20,17 @@ from typing import Final, final
 
 from motorhil.emulators.api import (
     NEVER_NS,
-    RANGES,
     REQUIRED,
     Controller,
     ControllerContext,
+    MotorDrive,
     MotorSettings,
     MotorTable,
     Number,
     SettingError,
     TablesByKey,
     controller,
+    nearest,
     number,
     on_own_time,
     read,
@@ -75,6 +76,8 @@ _OVERLOAD_NS: Final = 5_000 * _MS
 _WATCHDOG_NS: Final = 20 * _MS
 _WATCHDOG_ERROR: Final = -1
 _VOLTAGE, _HEAT, _OVERLOAD = 0x01, 0x04, 0x20
+_FAULTS: Final = range(1, 0x3E)
+_INPUTS: Final = {"input_voltage_v": (0.0, 100.0), "temperature_c": (-40.0, 200.0)}
 
 
 @final
@@ -100,7 +103,7 @@ class DynamixelTable(MotorTable):
 
 
 @final
-class Servo:
+class Servo(MotorDrive):
     """Implements `motorhil.emulators.controller.Controller`.
 
     Attributes:
@@ -117,15 +120,16 @@ class Servo:
         self._model: Final = MODELS[own.model]
         self._firmware: Final = self._model.firmware if own.firmware is None else own.firmware
         self._line_bit_s: Final = line_bit_s
-        delivered = {"id": own.unit, **_rate(line_bit_s), **own.registers}
+        rates = BAUD[: 7 if self._model.is_x330 else 8]
+        delivered = {"id": own.unit, **_rate(line_bit_s, rates), **own.registers}
         self.memory: Final = Memory(self._model, self._firmware, delivered)
         for name, value in own.registers.items():
             self._require(name, value)
         self.motion: Final = Motion(motor, self.memory, self._model)
+        super().__init__(self.motion.axis, _FAULTS)
         self.receiver: Final = Receiver()
         self._boot_ns: Final = round(own.boot_up_s * 1e9)
         self._turn_round_ns: Final = round(own.turn_round_s * 1e9)
-        self._is_powered = False
         self._ready_ns = self._booted_ns = self._heard_ns = 0
         self._now_ns = 0
         self._overloaded_ns = NEVER_NS  # when the error comes
@@ -137,16 +141,16 @@ class Servo:
         self._before: int | None = None  # the id whose status ours follows; -1: a broadcast ping
         self._fast: tuple[int, bytearray] | None = None  # bytes before our block, and those heard
         self._gives_up_ns = 0
-        self._output: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
         if not motor.oscillator.is_ideal():
-            self._tell("info", motor.oscillator.told())
+            self.note("info", motor.oscillator.told())
 
     def _require(self, name: str, value: int) -> None:
-        item = self.memory.items.get(name)
+        items = self.memory.items
+        item = items.get(name)
         if item is None or item.low is None or item.high is None:
+            known = [one.name for one in items.values() if one.low is not None]
             problem = "is not a writable register of this model"
-            raise SettingError(("registers", name), problem, "see docs/reference/dynamixel.md")
+            raise SettingError(("registers", name), problem, nearest(name, known))
         if not item.low <= value <= item.high:
             problem = f"{value} is out of range; allowed: {item.low} to {item.high}"
             raise SettingError(("registers", name), problem)
@@ -155,15 +159,15 @@ class Servo:
 
     def start(self, now_ns: int) -> None:
         """Power on."""
-        self._is_powered = True
+        self.is_powered = True
         self._boot(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Process characters on the line, the last of them complete at `now_ns`."""
         rate = BAUD[self.memory["baud_rate"]]
-        if not self._is_powered or self._line_bit_s not in (None, rate):
+        if not self.is_powered or self._line_bit_s not in (None, rate):
             return
-        self._at(now_ns)
+        self.advance(now_ns)
         start_ns = now_ns - len(data) * 10_000_000_000 // rate
         self._extend(data, start_ns, now_ns)
         for heard in self.receiver.feed(data, start_ns, now_ns):
@@ -174,109 +178,77 @@ class Servo:
                 self._due_ns, self._before, self._fast = NEVER_NS, None, None
                 self._execute(heard)
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Ignore that an own packet left the line."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Return False: `sent` has no effect."""
-        return False
-
     def next_deadline_ns(self) -> int | None:
         """Return when `expire` must be called at the latest [ns], or None."""
-        if not self._is_powered:
+        if not self.is_powered:
             return None
         due_ns = min(self._due_ns, self._watchdog_ns(), self._overloaded_ns)
-        due_ns = min(due_ns, self.motion.axis.event_ns(due_ns))
+        due_ns = min(due_ns, self.axis.event_ns(due_ns))
         return None if due_ns >= NEVER_NS else due_ns
 
     def expire(self, now_ns: int) -> None:
         """Send what is due, and look at the motor."""
-        self._at(now_ns)
+        self.advance(now_ns)
         if now_ns >= self._due_ns:
             self._due_ns, self._before = NEVER_NS, None
-            self._output.append(self._answer)
-
-    def take_output(self) -> Sequence[bytes]:
-        """Return the packets to send now."""
-        output, self._output = self._output, []
-        return output
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of each event since the last call."""
-        events, self._events = self._events, []
-        return events
+            self.queue(self._answer)
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set load [N m], power, input voltage [V], temperature [degC] or a hardware error.
+        """Set input voltage [V] or temperature [degC], or an input of every drive.
 
         Raises:
-            ValueError: the stimulus is unknown, or the value is invalid.
+            ValueError: there is no such input, or the value is out of range.
         """
-        if self._is_powered:
-            self._at(now_ns)
-        if name not in _STIMULI:
-            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(_STIMULI)}")
-        low, high = _STIMULI[name]
+        if name not in _INPUTS:
+            super().stimulate(name, value, now_ns)
+            return
+        low, high = _INPUTS[name]
         if not low <= value <= high:
-            raise ValueError(f"{name} is {low:g}..{high:g}, not {value}")
-        if name == "load_torque_n_m":
-            self.motion.axis.set_load(value)
-        elif name == "input_voltage_v":
+            raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
+        if name == "input_voltage_v":
             self._voltage = round(value * 10.0)
-        elif name == "temperature_c":
+        else:
             self._temperature = round(value)
-        elif name == "hardware_error":
-            self._fail(int(value))
-        elif value and not self._is_powered:
-            self.start(now_ns)
-        elif not value:
-            self._torque(False)
-            self._is_powered = False
-        if self._is_powered:
-            self._look()
+        self.advance(now_ns)
 
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true state at `now_ns`; rad and N m are behind the gear."""
-        axis = self.motion.axis
-        axis.at(now_ns)
+    def inject(self, fault: int) -> None:
+        """Set bits of the hardware error status."""
+        self._fail(fault)
+
+    def go_dark(self) -> None:
+        """Lose the power."""
+        self._torque(False)
+
+    def truth(self) -> Mapping[str, float]:
+        """Return following error, torque and hardware errors."""
         return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
-            "following_error_inc": float(axis.following_error_inc()),
+            "following_error_inc": float(self.axis.following_error_inc()),
             "torque_enable": float(self.memory["torque_enable"]),
             "hardware_error_status": float(self.memory["hardware_error_status"]),
-            **axis.truth_of_extras(),
         }
 
     def identifiers(self) -> Sequence[int] | None:
         """Return None: a servo hears the whole line."""
         return None
 
-    def identifiers_revision(self) -> int:
-        """Return a constant."""
-        return 0
-
     # --- motor -----------------------------------------------------------------------------------
 
-    def _at(self, now_ns: int) -> None:
+    def advance(self, now_ns: int) -> None:
+        """Update the motor to this time, and apply what has become of it."""
         self._now_ns = now_ns
-        self.motion.axis.at(now_ns)
-        self._look()
+        self.axis.at(now_ns)
+        if self.is_powered:
+            self._look()
 
     def _look(self) -> None:
         """Apply what has become of the motor, its supply and the host."""
         memory, now_ns = self.memory, self._now_ns
         if now_ns >= self._watchdog_ns():
-            self._tell("warning", "bus watchdog: no instruction on the line; the motor stops")
+            self.note("warning", "bus watchdog: no instruction on the line; the motor stops")
             memory["bus_watchdog"] = _WATCHDOG_ERROR
             memory["profile_velocity"] = memory["profile_acceleration"] = 0
             self.motion.stop()
-        if not self.motion.is_on or not self.motion.axis.flags & f.CURRENT_SATURATED:
+        if not self.motion.is_on or not self.axis.flags & f.CURRENT_SATURATED:
             self._overloaded_ns = NEVER_NS
         elif self._overloaded_ns == NEVER_NS:
             self._overloaded_ns = now_ns + _OVERLOAD_NS
@@ -294,21 +266,21 @@ class Servo:
         if memory["hardware_error_status"] & bits == bits:
             return
         memory["hardware_error_status"] |= bits
-        self._tell("error", f"hardware error {bits:02X}h")
+        self.note("error", f"hardware error {bits:02X}h")
         if memory["hardware_error_status"] & memory["shutdown"]:
             self._torque(False)
             self._is_shut_down = True
 
     def _torque(self, on: bool) -> None:
         if on and self._is_shut_down:
-            self._tell("warning", "torque on is ignored: shut down; it needs a reboot")
+            self.note("warning", "torque on is ignored: shut down; it needs a reboot")
             on = False
         self.memory["torque_enable"] = on
         if on != self.motion.is_on:
             self.motion.power(on)
 
     def _boot(self, now_ns: int) -> None:
-        self._at(now_ns)
+        self.advance(now_ns)
         self.motion.power(False)
         self.memory.power_on()
         self.motion.forget_turns()
@@ -400,7 +372,7 @@ class Servo:
             if not is_broadcast and level >= 2:
                 self._reply(error)
                 if rebooting and error is Error.NONE:  # the status goes out before the reboot
-                    self._output.append(self._answer)
+                    self.queue(self._answer)
                     self._due_ns = NEVER_NS
             if follow_up is not None:
                 follow_up()
@@ -450,7 +422,7 @@ class Servo:
         return Error.INSTRUCTION, None
 
     def _reboot(self) -> None:
-        self._tell("info", "reboots")
+        self.note("info", "reboots")
         self._boot(self._now_ns)
 
     def _reset(self, data: bytes, is_broadcast: bool) -> tuple[Error, Callable[[], None] | None]:
@@ -542,7 +514,7 @@ class Servo:
         if wanted.get(memory["operating_mode"], _GOALS[3]) in values:
             self.motion.go()
         if "baud_rate" in values and self._line_bit_s not in (None, BAUD[memory["baud_rate"]]):
-            self._tell("warning", "its baud rate is not that of the line; it is unreachable now")
+            self.note("warning", "its baud rate is not that of the line; it is unreachable now")
 
     def _enter_mode(self) -> None:
         memory = self.memory
@@ -554,7 +526,7 @@ class Servo:
         if memory["operating_mode"] == modes.POSITION:
             self.motion.forget_turns()
         if memory["operating_mode"] == 16:
-            self._tell("warning", "PWM mode (16) is not emulated; the motor has no current")
+            self.note("warning", "PWM mode (16) is not emulated; the motor has no current")
         self.motion.limit_current()
 
     # --- groups ----------------------------------------------------------------------------------
@@ -602,18 +574,6 @@ class Servo:
         self._answer = block
         self._fast = 8 + sum(4 + place[2] for place in places[:index]), bytearray()
 
-    def _tell(self, level: str, text: str) -> None:
-        self._events.append((level, text))
-
-
-_STIMULI: Final = {
-    "load_torque_n_m": RANGES["load_torque_n_m"],
-    "power": (0, 1),
-    "input_voltage_v": (0.0, 100.0),
-    "temperature_c": (-40, 200),
-    "hardware_error": (1, 0x3D),
-}
-
 
 def _places(heard: Packet) -> list[tuple[int, int, int, int]]:
     """Return (id, address, length, place of its data) of each servo in a group packet."""
@@ -634,7 +594,7 @@ def _places(heard: Packet) -> list[tuple[int, int, int, int]]:
     return places
 
 
-def _rate(line_bit_s: int | None) -> dict[str, int]:
+def _rate(line_bit_s: int | None, rates: Sequence[int]) -> dict[str, int]:
     """Return the register of the line's bit rate.
 
     Raises:
@@ -642,10 +602,10 @@ def _rate(line_bit_s: int | None) -> dict[str, int]:
     """
     if line_bit_s is None:
         return {}
-    if line_bit_s not in BAUD:
-        known = ", ".join(map(str, BAUD))
+    if line_bit_s not in rates:
+        known = ", ".join(map(str, rates))
         raise SettingError(("bus",), f"its bit rate is {line_bit_s} bit/s", f"allowed: {known}")
-    return {"baud_rate": BAUD.index(line_bit_s)}
+    return {"baud_rate": rates.index(line_bit_s)}
 
 
 @controller(api=1, bus_kinds=("serial",))

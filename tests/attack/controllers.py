@@ -19,6 +19,7 @@ from motorhil.emulators.cia401.node import IoNode
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.drive import build as build_drive
 from motorhil.emulators.controller import STUCK, Controller, ControllerContext
+from motorhil.emulators.dryve.drive import build as build_dryve
 from motorhil.emulators.dynamixel.packets import BROADCAST, HEADER, Instruction, packet
 from motorhil.emulators.dynamixel.servo import Servo
 from motorhil.emulators.dynamixel.servo import build as build_servo
@@ -70,6 +71,12 @@ _INPUTS: Final = (
 _ITEMS: Final = (  # addresses of a servo
     *(0, 7, 8, 9, 10, 11, 12, 20, 24, 31, 36, 38, 44, 48, 52, 60, 63, 64, 64, 68, 98, 98, 100),
     *(102, 104, 104, 108, 112, 116, 116, 122, 132, 168, 170, 208, 224, 9999),
+)
+_GATEWAY_OBJECTS: Final = (  # of a dryve: index, sub-index, bytes
+    *((index, 0, 1) for index in (0x1001, 0x6060, 0x6060, 0x6061, 0x6098)),
+    *((index, 0, 2) for index in (0x2014, 0x6040, 0x6040, 0x6040, 0x6040, 0x6041)),
+    *((index, 0, 4) for index in (0x6064, 0x607A, 0x607A, 0x6081, 0x6083, 0x6084, 0x60A8, 0x60FF)),
+    *((index, 1, 4) for index in (0x607B, 0x6092, 0x6099)),
 )
 _TO_ALL: Final = tuple(one for one in Instruction if one >= Instruction.SYNC_READ)
 
@@ -362,7 +369,7 @@ def attack_servo(seed: str) -> Done:
     for _ in range(EPISODE):
         bare.run(dice.choice(_PAUSES_NS))
         if dice.random() < 0.01:
-            bare.stimulate(*dice.choice((*_INPUTS, ("hardware_error", 32), ("temperature_c", 99))))
+            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 32), ("temperature_c", 99))))
         data = damaged(dice, next(packets))
         cut = dice.randrange(len(data) + 1) if dice.random() < 0.1 else len(data)
         for part in (data[:cut], data[cut:]):
@@ -378,6 +385,42 @@ def attack_servo(seed: str) -> Done:
     bare.tell(packet(servo.memory["id"], Instruction.PING))
     bare.run(REPLY_BY_NS)
     assert len(bare.sent) == 1, f"a ping has {len(bare.sent)} answers"
+    return Done(EPISODE, bare.digest.digest(), reached)
+
+
+def telegrams(dice: Random) -> Iterator[bytes]:
+    """Yield PDUs for a dryve: objects read and written, valid ones and invalid ones."""
+    while True:
+        index, subindex, size = dice.choice(_GATEWAY_OBJECTS)
+        if dice.random() < 0.1:
+            index, subindex, size = index + 1, dice.randrange(4), dice.randrange(6)
+        value = dice.choice((*range(12), 0x0F, 0x1F, 0x3F, 0x80, 0x10F, 5400, 1 << 31))
+        writes = 2 if dice.random() < 0.02 else dice.choice((0, 1, 1))
+        data = value.to_bytes(8, "little")[:size] if writes else b""
+        place = index.to_bytes(2, "big") + bytes((subindex, 0, 0, 0, size))
+        yield bytes((0x2B, 0x0D, writes, 0, 0)) + place + data
+
+
+def attack_dryve(seed: str) -> Done:
+    """Send telegrams to a dryve, one before the answer to another; then read its statusword."""
+    dice = Random(seed)
+    bare = Bare(build_dryve({"unit": UNIT, "timing": {"boot_up_s": 0.01}}, _context()))
+    bare.run(20 * MS)
+    requests = telegrams(dice)
+    for _ in range(EPISODE):
+        bare.run(dice.choice(_PAUSES_NS))
+        if dice.random() < 0.02:
+            bare.stimulate(*dice.choice((*_INPUTS, ("di7", 0.0), ("di7", 1.0), ("di8", 1.0))))
+        bare.tell(with_crc(bytes((UNIT,)) + (damaged(dice, next(requests)) or b"\x2b")))
+    reached = Counter(answers=len(bare.sent))
+    reached.update("refusals" for one in bare.sent if one[1] & 0x80)
+    assert all(with_crc(one[:-2]) == one for one in bare.sent), "an answer has a wrong CRC"
+    bare.run(2_000 * MS)
+    bare.sent.clear()
+    bare.tell(with_crc(bytes.fromhex("01 2B 0D 00 00 00 60 41 00 00 00 00 02")))
+    bare.run(REPLY_BY_NS)
+    assert len(bare.sent) == 1, f"a read has {len(bare.sent)} answers"
+    assert bare.sent[0][:13].hex() == "012b0d00000060410000000002", "it is not the statusword"
     return Done(EPISODE, bare.digest.digest(), reached)
 
 
@@ -486,6 +529,7 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         kinds[name] = partial(attack_unit, made, _addresses(build))
         kinds[f"{name} on TCP"] = partial(attack_gateway, made, _addresses(build))
     kinds["dynamixel"] = attack_servo
+    kinds["dryve"] = attack_dryve
     unit = partial(_recorded, "leadshine.mcap", unit=UNIT)
     kinds["recorded unit"] = partial(attack_unit, unit, _addresses(build_leadshine))
     kinds["mit"] = partial(attack_mit, build_mit, tuple(MIT_MODELS))

@@ -30,7 +30,8 @@ _STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switc
     {
         *("SET-07", "TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),
         *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
-        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", *_OF_CANOPEN),
+        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
+        *_OF_CANOPEN,
     }
 )
 _SAMPLED = frozenset(  # by the host, along trapezoids and ramps of position, velocity, current
@@ -59,7 +60,7 @@ NOT_APPLICABLE = {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
             *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13)),
             *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "LOW-03", "SYNC-05"),
-            *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08"),
+            *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
             *("LOST-11", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
@@ -69,9 +70,9 @@ NOT_APPLICABLE = {
         {
             *("SET-04", "SET-07", "SET-10", "TRAJ-06"),  # no torque or current
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
-            *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", *_OF_CANOPEN),  # likewise
+            *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "HOME-03", "LOW-03", "LOW-04", "LOST-07", "OTHER-01", "SHARE-02"),
-            *("SYNC-06", "SYNC-11"),
+            *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
         }
     ),
     "oriental_az": _POLLED,

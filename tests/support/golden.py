@@ -77,6 +77,7 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
         EVERY["software"].rig(),
         algorithms,
     ),
+    "dryve": ("two igus dryve D1", (RIGS / "dryve.toml").read_text(), algorithms),
     "leadshine": ("two PR-mode drives on a serial line", EVERY["leadshine"].rig(), algorithms),
     "leadshine_tcp": ("the same behind a gateway", on_tcp(EVERY["leadshine"].rig()), algorithms),
     **{

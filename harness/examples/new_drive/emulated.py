@@ -42,7 +42,8 @@ _UNITS: Final = 1 << 16  # per turn of the motor
 class DriveTable(MotorTable):
     """The drive's table in a rig."""
 
-    # 2. Settings of the drive: what its maker's tool can set.
+    # 2. Settings of the drive: what its maker's tool can set. `node_id` is the rig's own name for
+    # an address on CAN; whatever its maker calls it, keep this name here and in `host.MotorTable`.
     node_id: int = whole(REQUIRED, 0, 0x3F, "", "Its node-ID.", example="1")
     boot_up_s: float = number(0.1, 0, 3600, "s", "From power-on to the first status.")
     period_s: float = number(0.01, 1e-4, 3600, "s", "Period of status and estimate.")

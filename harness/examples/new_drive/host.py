@@ -142,7 +142,8 @@ class MydriveHwMotor:
         timeout_s = self.options.timeout_ms / 1e3
         self._statuses = self.drive.expect("status", timeout_s, self._forget)
         self._estimates = self.drive.expect("estimate", timeout_s)
-        # 2. What the drive sends, and what other programs send to it.
+        # 2. What the drive sends, and what other programs send to it. A drive that only answers
+        # sends no status: drop both `expect`, and ask in `_refresh` of the motor by `exchange`.
         self.drive.handle(STATUS + node_id, self._on_status)
         self.drive.handle(ESTIMATE + node_id, self._on_estimate)
         self.drive.handle(COMMAND + node_id, self._on_foreign_command)

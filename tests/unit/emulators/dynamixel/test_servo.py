@@ -470,7 +470,7 @@ def test_bus_watchdog_stops_and_refuses_goals_until_cleared():
     [
         ({"unit": 253}, "unit"),
         ({"model": "ax-12a"}, "model"),
-        ({"registers": {"goal": 1}}, "not a writable register"),
+        ({"registers": {"goal_positon": 1}}, "did you mean goal_position?"),
         ({"registers": {"moving": 1}}, "not a writable register"),
         ({"registers": {"return_delay_time": 255}}, "allowed: 0 to 254"),
     ],
@@ -484,6 +484,9 @@ def test_wrong_setting_is_refused_with_its_name(own, told):
 def test_line_at_an_impossible_rate_is_refused():
     with pytest.raises(SettingError, match="bit rate is 19200"):
         Bench(baud=19_200)
+    with pytest.raises(SettingError, match=r"4500000 bit/s; allowed: .*, 4000000$"):
+        Bench(baud=4_500_000)  # the larger series has it
+    Bench({"model": "xm430-w350"}, baud=4_500_000)
 
 
 # ---- what slips of the emulator have shown --------------------------------------------------

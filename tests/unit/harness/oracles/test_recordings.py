@@ -31,6 +31,7 @@ HELD = {
     "dynamixel": {"limit-velocity"},
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
+    "dryve": {"torque-off"},
     "mit": {"limit-velocity"},
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
