@@ -537,9 +537,13 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
     return kinds
 
 
+KINDS: Final = _kinds()
+"""The kinds of controllers, with the attack on each."""
+
+
 def begin(seed: int) -> Attempt:
     """Return the attempts: one kind after another, each with its own inputs."""
-    kinds = _kinds()
+    kinds = KINDS
     names = list(kinds)
 
     def attempt(number: int) -> Done:
