@@ -466,13 +466,17 @@ def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: 
     return Done(EPISODE, digest.digest(), reached)
 
 
-def attack_identifiers(
-    build: Callable[[], Controller], question: bytes, answer: bytes, seed: str
-) -> Done:
-    """Send any data under the identifiers of a drive; then ask a question with a known answer."""
+Ask = Callable[[int], tuple[bytes, bytes]]
+"""Returns (question, answer) by the first identifier of a drive, which commands may change."""
+
+
+def attack_identifiers(build: Callable[[], Controller], ask: Ask, seed: str) -> Done:
+    """Send any data under the identifiers of a drive; then restart it, and ask it.
+
+    It is asked twice: a drive that was interrupted does not obey the first request.
+    """
     dice = Random(seed)
     bare = Bare(build())
-    identifiers = list(bare.controller.identifiers() or ())
     for _ in range(EPISODE):
         bare.run(dice.choice(_PAUSES_NS))
         if dice.random() < 0.01:
@@ -481,15 +485,28 @@ def attack_identifiers(
             bare.stimulate("power", 1.0)  # a command may switch it off
         size = dice.choice((8, 8, 6, 5, 4, 4, *range(9)))
         data = bytes(dice.choice((0, 0, 1, 0xFF, dice.randrange(256))) for _ in range(size))
-        bare.tell(frame(dice.choice(identifiers), data))
+        bare.tell(frame(dice.choice(list(bare.controller.identifiers() or (0,))), data))
     reached = Counter(answers=len(bare.sent))
-    bare.stimulate("power", 1.0)
+    for power in (0.0, 1.0):
+        bare.stimulate("power", power)
     bare.run(2_000 * MS)
     bare.sent.clear()
+    question, answer = ask((bare.controller.identifiers() or (0,))[0])
+    bare.tell(question)
     bare.tell(question)
     bare.run(REPLY_BY_NS)
     assert answer in bare.sent, "the question has no answer"
     return Done(EPISODE, bare.digest.digest(), reached)
+
+
+def _ask_vesc(first: int) -> tuple[bytes, bytes]:
+    """Return PING from 253, and PONG."""
+    return frame(first & ~0xFF00 | 0x1100, b"\xfd"), frame(0x8000_12FD, bytes((first & 0xFF, 0)))
+
+
+def _ask_rmd(first: int) -> tuple[bytes, bytes]:
+    """Return a request for the phase currents (9Dh), and an answer without any, at 25 degrees."""
+    return frame(first, b"\x9d" + bytes(7)), frame(first + 0x100, b"\x9d\x19" + bytes(6))
 
 
 def _addresses(builder: object) -> list[int]:
@@ -504,11 +521,9 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         "moteus": attack_moteus,
     }
     vesc = partial(build_vesc, {"node_id": NODE, "status_1": 63}, _context())
-    ping, pong = frame(0x8000_1105, b"\xfd"), frame(0x8000_12FD, b"\x05\0")
-    kinds["vesc"] = partial(attack_identifiers, vesc, ping, pong)
+    kinds["vesc"] = partial(attack_identifiers, vesc, _ask_vesc)
     rmd = partial(build_rmd, {"node_id": NODE, "interruption_ms": 50}, _context())
-    mode = frame(0x145, b"\x9d" + bytes(7)), frame(0x245, bytes.fromhex("9d19000000000000"))
-    kinds["rmd"] = partial(attack_identifiers, rmd, *mode)
+    kinds["rmd"] = partial(attack_identifiers, rmd, _ask_rmd)
     for name, build in (("leadshine_pr", build_leadshine), ("oriental_az", build_oriental)):
         made = partial(build, {"unit": UNIT}, _context())
         kinds[name] = partial(attack_unit, made, _addresses(build))
@@ -522,9 +537,13 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
     return kinds
 
 
+KINDS: Final = _kinds()
+"""The kinds of controllers, with the attack on each."""
+
+
 def begin(seed: int) -> Attempt:
     """Return the attempts: one kind after another, each with its own inputs."""
-    kinds = _kinds()
+    kinds = KINDS
     names = list(kinds)
 
     def attempt(number: int) -> Done:
