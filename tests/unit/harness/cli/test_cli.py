@@ -263,7 +263,8 @@ def test_list_prints_plugins_and_own_eds_files(bench, say):
     status, out, _ = say("list", "controllers")
     assert status == 0
     lines = {line.split()[0]: line for line in out.splitlines()}
-    own = ["cia401", "cia402", "leadshine_pr", "mit", "oriental_az", "recorded", "robstride"]
+    own = ["cia401", "cia402", "dryve", "dynamixel", "leadshine_pr", "mit", "moteus"]
+    own += ["oriental_az", "recorded", "robstride", "vesc"]
     assert list(lines) == sorted([*own, "broken", "echo"])
     assert "bench 1.0" in lines["echo"]
     eds = Path(lines["cia402"].split()[-1])
