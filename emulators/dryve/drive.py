@@ -29,7 +29,6 @@ from motorhil.emulators.api import (
     can_id_of,
     controller,
     data_of,
-    ns,
     on_own_time,
     pack,
     read,
@@ -49,11 +48,10 @@ from motorhil.emulators.canopen.object_dictionary import (
 from motorhil.emulators.cia402.drive import STIMULI, Cia402Drive
 from motorhil.emulators.cia402.settings import (
     OWN_EDS,
-    DriveSettings,
     DriveTimingTable,
     SwitchesTable,
+    read_settings,
 )
-from motorhil.emulators.settings.protection import ProtectionTable, protection_of
 
 FUNCTION: Final = 0x2B
 MEI: Final = 0x0D
@@ -106,6 +104,9 @@ _FIRST_INPUT: Final = 15  # bit of DI1 in 60FDh, less 1
 _INTERLOCK: Final = 0x08  # DI7 in 60FDh, besides its own bit
 _POSITIVE, _NEGATIVE = 8, 9
 _LIMIT_INPUTS: Final = {_POSITIVE: "positive_limit", _NEGATIVE: "negative_limit"}
+# Keys that the drive inside has too.
+_SERVO: Final = ("plant", "servo", "oscillator", "initial_position_rad")
+_OF_THE_DRIVE: Final = (*_SERVO, "timing", "switches")
 _VELOCITY_UNITS: Final = ("position", "rpm")
 
 
@@ -362,27 +363,11 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         SettingError: a key is unknown, or a value is missing or wrong; names the keys.
     """
     own = read(DryveTable, settings)
-    motor = own.motor(context.stream())
-    rate = None
+    inner = {key: settings[key] for key in _OF_THE_DRIVE if key in settings}
     if own.velocity_unit == "rpm":
-        rate = motor.plant.encoder_increments_rev / 6000.0  # 0.01 rpm, and per second
-    inside = DriveSettings(
-        node_id=_NODE,
-        plant=motor.plant,
-        gains=motor.gains,
-        tick_ns=motor.tick_ns,
-        current_steps=motor.current_steps,
-        oscillator=motor.oscillator,
-        boot_up_ns=ns(own.timing.boot_up_s),
-        sdo_reply_ns=ns(own.timing.sdo_reply_s),
-        enable_ns=ns(own.timing.enable_s),
-        velocity_unit_inc_s=rate,
-        acceleration_unit_inc_s2=rate,
-        supported_modes=("pp", "pv", "hm"),
-        initial_position_rad=motor.initial_position_rad,
-        protection=protection_of(ProtectionTable(), motor.plant),
-        switches=own.switches.switches(motor.plant),
-        index_count=own.switches.index_count(motor.plant),
-    )
+        rate = own.motor("").plant.encoder_increments_rev / 6000.0  # 0.01 rpm, and per second
+        inner["units"] = {"velocity_unit_inc_s": rate, "acceleration_unit_inc_s2": rate}
+    inner |= {"node_id": _NODE, "supported_modes": ["pp", "pv", "hm"]}
+    inside = read_settings(inner, context.folder, context.stream())
     drive = Cia402Drive(_dictionary(own), inside)
-    return on_own_time(Dryve(own.unit, drive), motor.oscillator)
+    return on_own_time(Dryve(own.unit, drive), inside.oscillator)

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.api import Exchange, MotorModel, Runtime
 
 _CONTROLWORD, _STATUSWORD, _ERROR_CODE = (0x6040, 0, 2), (0x6041, 0, 2), (0x603F, 0, 2)
-_MODE, _MODE_DISPLAY, _SUPPORTED = (0x6060, 0, 1), (0x6061, 0, 1), (0x6502, 0, 4)
+_MODE, _MODE_DISPLAY = (0x6060, 0, 1), (0x6061, 0, 1)
 _POSITION, _VELOCITY, _TARGET = (0x6064, 0, 4), (0x606C, 0, 4), (0x607A, 0, 4)
 _PROFILE_VELOCITY, _FASTER, _SLOWER = (0x6081, 0, 4), (0x6083, 0, 4), (0x6084, 0, 4)
 _TARGET_VELOCITY, _METHOD, _UNITS = (0x60FF, 0, 4), (0x6098, 0, 1), (0x60A8, 0, 4)
@@ -359,7 +359,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
             if self._told.get(what) != told:
                 registers.write(what, value)
                 self._told[what] = told
-        self._wait_a_cycle(registers.line.runtime.now_ns())
+        self._wait_a_cycle(self.runtime.now_ns())
         self._starts = tuple(starts)
         self._stop = None
 
