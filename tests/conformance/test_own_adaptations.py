@@ -23,7 +23,7 @@ _POLLED = frozenset(
         *("TRAJ-11", "TRAJ-12"),
         *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11"),
-        *("SET-10", "TRAJ-10", *_OF_CAN, *_OF_CANOPEN),
+        *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CANOPEN),
     }
 )
 _STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switch of the supply
@@ -51,7 +51,7 @@ NOT_APPLICABLE = {
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
             *(f"LOST-{number:02}" for number in range(1, 12)),
-            *("OTHER-01", "OVER-01", "SET-10", *_OF_CAN, *_OF_CANOPEN),
+            *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
     "dryve": _POLLED | {"MEAS-03"},
@@ -78,7 +78,9 @@ NOT_APPLICABLE = {
     "oriental_az": _POLLED,
     "rmd": _SAMPLED,
     "robstride": _STREAMED,
-    "software": frozenset({"HEAR-05", "LOW-04", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}),
+    "software": frozenset(
+        {"HEAR-05", "LOW-04", "LOW-06", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}
+    ),
     "vesc": _SAMPLED,
 }
 
