@@ -27,7 +27,7 @@ class MotorDrive:
 
     def __init__(self, axis: Axis, faults: range) -> None:
         self.axis: Final = axis
-        self.is_powered = False
+        self.is_powered: bool = False
         self._faults: Final = faults
         self._out: list[bytes] = []
         self._events: list[tuple[str, str]] = []

@@ -94,6 +94,7 @@ class LogicalMotor:
         self.argument: Argument | None = None
         self.run: ActiveMotion | None = None
         self._coast = Rest(model)
+        self._refreshed_ns: int | None = None
         self._callback_error: PluginError | None = None
         self._held_hardware: tuple[Ticket, object] | None = None
 
@@ -242,8 +243,13 @@ class LogicalMotor:
             if run is not None and not run.is_over and self.coasts(run):
                 self._see_coasting(self.hooks.read_position(), self.runtime.now_ns())
                 return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
-        if pause_s is not None and self.physical.news is not None:
-            self.physical.news.grow()  # its frames were counted before `_refresh` evaluated them
+        news = self.physical.news
+        if pause_s is not None and news is not None:
+            latest = self.hooks.latest()
+            heard_ns = None if latest is None else latest.time_ns
+            if heard_ns != self._refreshed_ns:  # its frame was counted before it was evaluated
+                self._refreshed_ns = heard_ns
+                news.grow()
         return pause_s
 
     def coasts(self, run: ActiveMotion) -> bool:

@@ -23,7 +23,7 @@ from typing import Final, final
 
 from motorhil.emulators.api import Controller, ControllerContext, controller, on_own_time, read
 from motorhil.emulators.mit.drive import MitDrive, of_code, to_code
-from motorhil.emulators.mit.settings import DAMIAO, MINI_CHEETAH, MODELS, MitTable
+from motorhil.emulators.mit.settings import DAMIAO, MINI_CHEETAH, MODELS, MitTable, Ranges
 
 SPECIAL: Final = b"\xff" * 7
 CLEAR, ENTER, LEAVE, ZERO = range(0xFB, 0xFF)
@@ -145,10 +145,10 @@ class ClassicalDrive(MitDrive):
         if number == MASTER_ID and raw <= 0x7FF:
             self._master_id = raw
         elif number == TIMEOUT:
-            self.watchdog_ns = raw * _TICK_NS
+            self.watchdog_ns: int = raw * _TICK_NS
         elif number in (P_MAX, V_MAX, T_MAX) and 0.0 < value <= 1e6:
             name = {P_MAX: "p", V_MAX: "v", T_MAX: "t"}[number]
-            self.ranges = self.ranges._replace(**{name: value})
+            self.ranges: Ranges = self.ranges._replace(**{name: value})
         else:
             self.note("warning", f"parameter {number} = {data.hex()} is refused")
 

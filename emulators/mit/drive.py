@@ -65,9 +65,9 @@ class MitDrive:
             under_voltage_v=UNDER_VOLTAGE * plant.supply_v,
             over_temperature_c=OVER_TEMPERATURE_C,
         )
-        self.is_on = False
-        self.fault = 0
-        self.now_ns = 0
+        self.is_on: bool = False
+        self.fault: int = 0
+        self.now_ns: int = 0
         self.revision = 0
         own_s = table.watchdog_s
         self.watchdog_ns: int = ns(self.firmware.watchdog_s if own_s is None else own_s)

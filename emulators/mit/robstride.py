@@ -70,7 +70,7 @@ class RobstrideDrive(MitDrive):
         elif kind == READ:
             self._read(data, area & 0xFF)
         elif kind == SET_ID:
-            self.node_id = area >> 8
+            self.node_id: int = area >> 8
             self.revision += 1
             self.send(self.node_id << 8 | 0xFE, _SERIAL)
         elif kind in (MOTION, ENABLE, STOP, ZERO, WRITE):

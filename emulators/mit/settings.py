@@ -99,8 +99,9 @@ ROBSTRIDES: Final[dict[str, tuple[Firmware, Ranges]]] = {
 }
 
 
-def _range(unit: str, of: str) -> Any:
-    return number(None, 0, 1e6, unit, f"Range of {of}; absent: the model's.", above=True)
+def _range(unit: str, of: str, plausible: tuple[float, float]) -> Any:
+    doc = f"Range of {of}; absent: the model's."
+    return number(None, 0, 1e6, unit, doc, above=True, plausible=plausible)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,14 +109,18 @@ class RangesTable(MotorTable):
     """Keys of all drives with impedance control."""
 
     node_id: int = whole(REQUIRED, 1, NODE_ID_MAX, "", "Identifier of its requests.", example="1")
-    p_max_rad: float | None = _range("rad", "positions, either way")
-    v_max_rad_s: float | None = _range("rad/s", "velocities, either way")
-    t_max_n_m: float | None = _range("N·m", "torques, either way")
-    kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness")
-    kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping")
-    boot_up_s: float = number(0.1, 0, 3600, "s", "From power-on to the first answer.")
+    p_max_rad: float | None = _range("rad", "positions, either way", (1.0, 200.0))
+    v_max_rad_s: float | None = _range("rad/s", "velocities, either way", (1.0, 1000.0))
+    t_max_n_m: float | None = _range("N·m", "torques, either way", (0.1, 1000.0))
+    kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness", (1.0, 1e5))
+    kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping", (0.1, 1e3))
+    boot_up_s: float = number(
+        0.1, 0, 3600, "s", "From power-on to the first answer.", plausible=(0.01, 10.0)
+    )
     watchdog_s: float | None = number(
-        None, 0, 3600, "s", "Longest time between commands; 0: unlimited; absent: the model's."
+        *(None, 0, 3600, "s"),
+        "Longest time between commands; 0: unlimited; absent: the model's.",
+        plausible=(0.005, 10.0),
     )
 
     def ranges(self, model: Ranges) -> Ranges:

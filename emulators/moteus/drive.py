@@ -165,8 +165,8 @@ class MoteusController:
         self._amps = self._amps if table.max_current_a is None else table.max_current_a
         self._volts = self._volts if table.max_voltage_v is None else table.max_voltage_v
         self._bounds = (_or(table.position_min_rev, -inf), _or(table.position_max_rev, inf))
-        self.mode = STOPPED
-        self.fault = 0
+        self.mode: int = STOPPED
+        self.fault: int = 0
         self._is_powered = False
         self._board_c = self._motor_c = 25.0
         self._home = 1

@@ -35,7 +35,9 @@ _SCALES: Final = {
 }
 
 MODE: Final = 0x000
-COMMAND: Final = {  # register: quantity, value after a write of the mode
+COMMAND: Final[
+    dict[int, tuple[str, float]]
+] = {  # register: quantity, value after a write of the mode
     **dict.fromkeys(range(0x010, 0x013), ("pwm", 0.0)),
     **dict.fromkeys((*range(0x014, 0x017), 0x019, 0x01A, 0x01B), ("voltage", 0.0)),
     **dict.fromkeys((0x01C, 0x01D), ("current", 0.0)),
@@ -85,7 +87,7 @@ ACTIONS: Final = {
     **dict.fromkeys(range(0x154, 0x158), "int"),
 }
 _NAMED: Final = 0x110  # known, and neither readable nor writable
-QUANTITIES: Final = {
+QUANTITIES: Final[dict[int, str]] = {
     MODE: "int",
     **{register: quantity for register, (quantity, _) in COMMAND.items()},
     **{shadow: COMMAND[register][0] for shadow, register in SHADOWS.items()},

@@ -150,7 +150,7 @@ class RmdController(MotorDrive):
     def start(self, now_ns: int) -> None:
         """Switch the power on."""
         self.axis.at(now_ns)
-        self.is_powered = True
+        self.is_powered: bool = True
         self._now_ns = now_ns
         self._restart()
 

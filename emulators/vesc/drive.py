@@ -216,7 +216,7 @@ class VescController(MotorDrive):
     def start(self, now_ns: int) -> None:
         """Switch the power on."""
         self.axis.at(now_ns)
-        self.is_powered = True
+        self.is_powered: bool = True
         self._now_ns = self._start_ns = now_ns
         self._power_on = self._last = self.axis.count()
         self._zero = self._power_on // self._turn * self._turn

@@ -144,7 +144,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
     ) -> None:
         super().__init__(DryveUnit(line, unit, runtime, self, timeout_s))
         self.velocity_unit: Final = velocity_unit
-        self.homing_failed = False
+        self.homing_failed: bool = False
         self._is_homed = False
         self._range = (0, 0)  # 607Bh
         self._mode = _PP  # of the prepared motion

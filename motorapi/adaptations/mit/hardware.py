@@ -50,36 +50,62 @@ _WAY_RAD: Final = 0.5
 _RATIO: Final = (0.8, 1.25)
 
 
-def _range(unit: str, of: str) -> Any:
-    return number(None, 0, unit=unit, doc=f"Range of {of}; absent: the model's.", above=True)
+def _range(unit: str, of: str, plausible: tuple[float, float]) -> Any:
+    doc = f"Range of {of}; absent: the model's."
+    return number(None, 0, unit=unit, doc=doc, above=True, plausible=plausible)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MitOptions(Options):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
-    kp_n_m_rad: float = number(50.0, 0, unit="N·m/rad", doc="Stiffness.", above=True)
-    kd_n_m_s_rad: float = number(2.0, 0, unit="N·m·s/rad", doc="Damping.", above=True)
-    inertia_kg_m2: float = number(0.0, 0, unit="kg·m²", doc="Inertia at the output, fed forward.")
-    friction_n_m: float = number(0.0, 0, unit="N·m", doc="Friction at the output, fed forward.")
-    period_ms: float = number(5.0, 0, unit="ms", doc="Period of commands.", above=True)
+    kp_n_m_rad: float = number(
+        50.0, 0, unit="N·m/rad", doc="Stiffness.", above=True, plausible=(0.1, 1e5)
+    )
+    kd_n_m_s_rad: float = number(
+        2.0, 0, unit="N·m·s/rad", doc="Damping.", above=True, plausible=(0.01, 1e3)
+    )
+    inertia_kg_m2: float = number(
+        0.0, 0, unit="kg·m²", doc="Inertia at the output, fed forward.", plausible=(1e-6, 10.0)
+    )
+    friction_n_m: float = number(
+        0.0, 0, unit="N·m", doc="Friction at the output, fed forward.", plausible=(1e-3, 10.0)
+    )
+    period_ms: float = number(
+        5.0, 0, unit="ms", doc="Period of commands.", above=True, plausible=(0.5, 100.0)
+    )
     following_error_rad: float = number(
-        0.2, 0, unit="rad", doc="Deviation from the demand at which it is switched off.", above=True
+        0.2,
+        0,
+        unit="rad",
+        doc="Deviation from the demand at which it is switched off.",
+        above=True,
+        plausible=(0.01, 3.0),
     )
     quiet_ms: float = number(
-        20.0, 0, unit="ms", doc="Time without an answer after which a reader asks.", above=True
+        20.0,
+        0,
+        unit="ms",
+        doc="Time without an answer after which a reader asks.",
+        above=True,
+        plausible=(1.0, 1e3),
     )
     timeout_ms: float = number(
-        100.0, 0, unit="ms", doc="Time without an answer after which it is lost.", above=True
+        100.0,
+        0,
+        unit="ms",
+        doc="Time without an answer after which it is lost.",
+        above=True,
+        plausible=(5.0, 1e4),
     )
     connect_timeout_s: float = number(
-        2.0, 0, unit="s", doc="Time for its first answer.", above=True
+        2.0, 0, unit="s", doc="Time for its first answer.", above=True, plausible=(0.1, 60.0)
     )
-    p_max_rad: float | None = _range("rad", "positions, either way")
-    v_max_rad_s: float | None = _range("rad/s", "velocities, either way")
-    t_max_n_m: float | None = _range("N·m", "torques, either way")
-    kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness")
-    kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping")
+    p_max_rad: float | None = _range("rad", "positions, either way", (1.0, 200.0))
+    v_max_rad_s: float | None = _range("rad/s", "velocities, either way", (1.0, 1000.0))
+    t_max_n_m: float | None = _range("N·m", "torques, either way", (0.1, 1000.0))
+    kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness", (1.0, 1e5))
+    kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping", (0.1, 1e3))
 
     def ranges(self, model: Ranges) -> Ranges:
         """Return the ranges: the model's, or those given."""
@@ -117,11 +143,14 @@ class MitHwMotor:
         self.frames: Final = frames
         self.options: Final = MitOptions() if options is None else options
         self.answer: Answer | None = None
-        self.time_ns = self.fault_ns = self.fault = 0
+        self.time_ns: int = 0
+        self.fault_ns: int = 0
+        self.fault: int = 0
         self.behind: float | None = None
-        self.is_on = self.is_zeroed = False
+        self.is_on: bool = False
+        self.is_zeroed: bool = False
         self.plan: Plan | None = None
-        self.mismatch = ""
+        self.mismatch: str = ""
         self.users = 0
         self.started_ns: int | None = None
         self._stream: SetpointStream | None = None

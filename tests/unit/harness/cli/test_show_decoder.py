@@ -166,9 +166,10 @@ def test_option_decoder_precedes_the_rig(record, say):
 def test_unknown_decoder_is_one_line_with_the_known(record, say):
     status, out, err = say("show", record(), "--decoder", "1=ecko")
     assert (status, out) == (2, "")
+    known = "dynamixel, echo, lost, mit, moteus, odd, rmd, robstride, silent, vesc, worn, wrong"
     assert err == (
-        "--decoder ecko: no installed package has a decoder of this name (known: echo, lost, "
-        "odd, silent, worn, wrong); install the package, or name package.module:function\n"
+        f"--decoder ecko: no installed package has a decoder of this name (known: {known}); "
+        "install the package, or name package.module:function\n"
     )
 
 
