@@ -179,7 +179,7 @@ class Rest:
     """
 
     def __init__(self, model: MotorModel) -> None:
-        self.rests = False
+        self.rests: bool = False
         still = _STILL_SHARE * model.velocity_max * _STILL_S
         self._still: Final = max(still, 2.0 * (model.resolution or 0.0))
         self._place: float | None = None

@@ -133,6 +133,8 @@ class _Reader:
 class FrameReader(_Reader):
     """A reader of answers on a serial line."""
 
+    heard: bytes
+
     def __init__(self, line: str) -> None:
         super().__init__(line, FramerRTU(DecodePDU(False)))
 
@@ -154,6 +156,8 @@ class FrameReader(_Reader):
 @final
 class StreamReader(_Reader):
     """A reader of answers on TCP."""
+
+    heard: bytes
 
     def __init__(self, line: str) -> None:
         super().__init__(line, FramerSocket(DecodePDU(False)))

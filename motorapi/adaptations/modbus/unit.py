@@ -1,6 +1,6 @@
 """The registers of one Modbus drive."""
 
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class ModbusUnit(LineUnit["ModbusPDU", "ModbusPDU"]):
     """The registers of one unit, and the record of its motor."""
 
-    LINE = ModbusLine
+    LINE: ClassVar[type[ModbusLine]] = ModbusLine
 
     def _units(self, line: "ByteLine") -> range:
         return range(1, 256 if line.framing == "tcp" else 248)  # 255: the only unit there

@@ -197,7 +197,7 @@ class MoteusHwMotor:
         self.options: Final = MoteusOptions() if options is None else options
         self.status: Status | None = None
         self.users = 0
-        self.is_over = True  # the last command
+        self.is_over: bool = True  # the last command
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
         self._register_map: int | None = None

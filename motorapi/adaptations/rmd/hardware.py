@@ -133,7 +133,7 @@ class RmdHwMotor:
         self.estimate: Estimate | None = None
         self.mode: int | None = None
         self.fault: Fault | None = None
-        self.errors = 0
+        self.errors: int = 0
         self.users = 0
         self._answers: dict[int, int] = {}  # number of answers by command
         self._acceleration: dict[int, int] = {}  # in its ROM, by index

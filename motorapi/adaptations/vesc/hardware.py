@@ -176,7 +176,7 @@ class VescHwMotor:
         self.estimate: Estimate | None = None
         self.fault: Fault | None = None
         self.users = 0
-        self.reports = 0  # answers about the fault
+        self.reports: int = 0  # answers about the fault
         self._reported = 0
         self._firmware: tuple[int, int] | None = None
         self._velocity = 0.0

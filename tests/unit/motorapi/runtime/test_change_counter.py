@@ -20,6 +20,7 @@ def asked(runtime, motor, monkeypatch):
 
     monkeypatch.setattr(PlainMotor, "_is_done", counted)
     runtime.every(0.001, lambda: None)
+    motor.hw.polled_s = None  # it reports by itself
     motor.logical.physical.news = ChangeCounter()
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(1.0)  # takes 1 s
@@ -50,6 +51,13 @@ def test_motor_without_a_counter_is_examined_at_every_event(runtime, motor, aske
     motor.wait_until_done(timeout_s=2.0)
     assert runtime.now_ns() == 1_000_000_000
     assert len(asked) > 900
+
+
+def test_motor_that_is_asked_is_examined_after_new_measurements(runtime, motor, asked):
+    motor.hw.polled_s = 0.1
+    motor.wait_until_done(timeout_s=2.0)
+    assert runtime.now_ns() == 1_000_000_000
+    assert len(set(asked)) < 20
 
 
 def test_stop_by_another_motor_is_a_change(runtime, hw, motor, asked):
