@@ -150,7 +150,7 @@ class VescTable(MotorTable):
 
 
 class Mode(IntEnum):
-    """What the motor does."""
+    """Activity of the motor, as commanded last."""
 
     OFF = 0
     CURRENT = 1

@@ -74,7 +74,7 @@ def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
 
 @final
 class _Servo:
-    """What was asked of one servo."""
+    """Record of the requests to one servo."""
 
     def __init__(self, unit: int) -> None:
         self._unit = unit

@@ -79,7 +79,7 @@ class ModbusExceptionResponse(PeerError):  # noqa: N818 -- the specification's n
 
 
 class _Reader:
-    """What the codecs of both framings share.
+    """Common part of the codecs of both framings.
 
     Attributes: framer; heard (the bytes since the request, on TCP except answers to others).
     """

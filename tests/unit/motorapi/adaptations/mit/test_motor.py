@@ -329,7 +329,7 @@ def test_motion_that_is_refused_is_not_kept():
 
 
 def test_reader_does_not_disturb_another_program():
-    """It is silent while it hears answers to others."""
+    """Check that a reader stays silent while it hears answers to others."""
     with opened() as rig:
         motor = rig.motors["left"]
         motor.position()
