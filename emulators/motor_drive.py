@@ -4,7 +4,8 @@ A drive derives from `MotorDrive`, and adds frames, times and states. The rest o
 here: the queues, the physical inputs, and the true values of the motor.
 """
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from motorhil.emulators.firmware.axis import Axis
@@ -13,7 +14,7 @@ from motorhil.emulators.plant.dc_motor import RANGES
 _INPUTS: Final = ("load_torque_n_m", "supply_v", "power", "fault")
 
 
-class MotorDrive:
+class MotorDrive(ABC):
     """A drive without its protocol; see `motorhil.emulators.api.Controller`.
 
     Args:
@@ -22,10 +23,10 @@ class MotorDrive:
 
     Attributes:
         axis: its motor.
-        is_powered: whether it has power, from `start` on.
+        is_powered: whether it has power.
     """
 
-    def __init__(self, axis: Axis, faults: range) -> None:
+    def __init__(self, axis: Axis, faults: Collection[int]) -> None:
         self.axis: Final = axis
         self.is_powered: bool = False
         self._faults: Final = faults
@@ -34,21 +35,21 @@ class MotorDrive:
 
     # --- what a drive adds
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        raise NotImplementedError
+    @abstractmethod
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time, before an input changes."""
         self.axis.at(now_ns)
 
+    @abstractmethod
     def inject(self, fault: int) -> None:
         """Cause a fault."""
-        raise NotImplementedError
 
+    @abstractmethod
     def go_dark(self) -> None:
         """Lose the power: no current, no frames, no deadlines."""
-        raise NotImplementedError
 
     def truth(self) -> Mapping[str, float]:
         """Return true values of its own."""
@@ -92,6 +93,12 @@ class MotorDrive:
 
     # --- physical inputs, and the truth
 
+    def start(self, now_ns: int) -> None:
+        """Switch the power on."""
+        self.axis.at(now_ns)
+        self.is_powered = True
+        self.boot(now_ns)
+
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
         """Set load [N·m] at the output, supply [V] or power (1, 0), or cause a fault.
 
@@ -103,8 +110,8 @@ class MotorDrive:
         low, high = RANGES["load_torque_n_m"]
         if name == "load_torque_n_m" and not low <= value <= high:
             raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
-        if name == "fault" and value not in self._faults:
-            codes = f"{self._faults.start} to {self._faults.stop - 1}"
+        if name == "fault" and not (float(value).is_integer() and int(value) in self._faults):
+            codes = _listed(self._faults)
             raise ValueError(f"{name} = {value}: out of range; expected {codes}")
         if name == "power" and value not in (0, 1):
             raise ValueError(f"{name} = {value}: out of range; expected 0 or 1")
@@ -116,7 +123,6 @@ class MotorDrive:
         elif name == "fault":
             self.inject(int(value))
         elif value and not self.is_powered:
-            self.is_powered = True
             self.start(now_ns)
         elif not value:
             self.is_powered = False
@@ -126,13 +132,10 @@ class MotorDrive:
         """Return the true values at `now_ns`; those in rad and N·m are at the gear's output."""
         axis = self.axis
         axis.at(now_ns)
-        return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
-            **self.truth(),
-            **axis.truth_of_extras(),
-        }
+        return {**axis.truth(), **self.truth(), **axis.truth_of_extras()}
+
+
+def _listed(codes: Collection[int]) -> str:
+    if isinstance(codes, range):
+        return f"{codes.start} to {codes.stop - 1}"
+    return ", ".join(map(str, codes)) or "none"

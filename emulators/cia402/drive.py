@@ -532,17 +532,10 @@ class Cia402Drive:
         if rest >= 0 and what == self._truth_of:
             return self._truth
         self._truth_of = what
-        self._truth = {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
-            "following_error_inc": float(axis.following_error_inc()),
-            "state": float(state),
-            "mode": float(mode),
-        }
+        self._truth = axis.truth()
+        self._truth["following_error_inc"] = float(axis.following_error_inc())
+        self._truth["state"] = float(state)
+        self._truth["mode"] = float(mode)
         if self._has_extras:
             self._truth.update(axis.truth_of_extras())
         if self.settings.switches:

@@ -157,11 +157,6 @@ class Servo(MotorDrive):
 
     # --- Controller ------------------------------------------------------------------------------
 
-    def start(self, now_ns: int) -> None:
-        """Power on."""
-        self.is_powered = True
-        self._boot(now_ns)
-
     def receive(self, data: bytes, now_ns: int) -> None:
         """Process characters on the line, the last of them complete at `now_ns`."""
         rate = BAUD[self.memory["baud_rate"]]
@@ -279,7 +274,8 @@ class Servo(MotorDrive):
         if on != self.motion.is_on:
             self.motion.power(on)
 
-    def _boot(self, now_ns: int) -> None:
+    def boot(self, now_ns: int) -> None:
+        """Begin anew, with power or by the instruction to reboot."""
         self.advance(now_ns)
         self.motion.power(False)
         self.memory.power_on()
@@ -423,7 +419,7 @@ class Servo(MotorDrive):
 
     def _reboot(self) -> None:
         self.note("info", "reboots")
-        self._boot(self._now_ns)
+        self.boot(self._now_ns)
 
     def _reset(self, data: bytes, is_broadcast: bool) -> tuple[Error, Callable[[], None] | None]:
         keep = _KEEP.get(data[0]) if len(data) == 1 else None

@@ -275,6 +275,17 @@ class Axis:
         """Return the level of the I2t integrator, 0..1; 0 without one."""
         return self._extra(nonlinear_servo.E_I2T) if self._has_extras else 0.0
 
+    def truth(self) -> dict[str, float]:
+        """Return the values of every motor under their snapshot names; rad, N m at the output."""
+        return {
+            "position_rad": self.output_position_rad(),
+            "velocity_rad_s": self.output_velocity_rad_s(),
+            "position_inc": float(self.position_inc()),
+            "demand_inc": float(self.demand_inc()),
+            "current_a": self.current_a(),
+            "torque_n_m": self.torque_n_m(),
+        }
+
     def truth_of_extras(self) -> dict[str, float]:
         """Return the existing values of DC link, winding and I2t under their snapshot names."""
         extras = self._plant.extras

@@ -7,15 +7,16 @@ Positions count turns of the motor. Without power the turns are lost: an encoder
 knows the output's position only up to a turn of the motor.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from motorhil.emulators.api import (
     EFF_FLAG,
     ERR_FLAG,
     NEVER_NS,
-    RANGES,
     RTR_FLAG,
+    MotorDrive,
     axis_of,
     can_id_of,
     data_of,
@@ -42,11 +43,10 @@ def of_code(code: int, limit: float, bits: int, low: float | None = None) -> flo
     return code * (limit - least) / ((1 << bits) - 1) + least
 
 
-class MitDrive:
+class MitDrive(MotorDrive):
     """A drive without its frames; derived classes implement `motorhil.emulators.api.Controller`.
 
     Attributes:
-        axis: the motor.
         is_on: whether the motor has current.
         fault: the code of the fault; 0: none.
     """
@@ -55,11 +55,11 @@ class MitDrive:
 
     def __init__(self, table: RangesTable, model: tuple[Firmware, Ranges], stream: str) -> None:
         motor = table.motor(stream)
+        super().__init__(axis_of(motor, motor.oscillator.rate()), model[0].codes)
         plant = motor.plant
         self.firmware: Final = model[0]
         self.ranges: Ranges = table.ranges(model[1])
         self.node_id: int = table.node_id
-        self.axis: Final = axis_of(motor, motor.oscillator.rate())
         self.axis.set_thresholds(
             over_voltage_v=OVER_VOLTAGE * plant.supply_v,
             under_voltage_v=UNDER_VOLTAGE * plant.supply_v,
@@ -79,21 +79,19 @@ class MitDrive:
         self._command = self._applied = LIMP
         self._zero_count = 0
         self._was_left = False  # since the fault
-        self._was_up = self._is_powered = False
+        self._was_up = False
         self._boot_ns = self._due_ns = NEVER_NS
         self._deaf_ns = 0
-        self._out: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
 
     # --- of derived classes ------------------------------------------------------------------
 
+    @abstractmethod
     def hear(self, can_id: int, data: bytes) -> None:
         """Handle a data frame with one of the identifiers."""
-        raise NotImplementedError
 
+    @abstractmethod
     def identifiers(self) -> Sequence[int] | None:
         """Return the identifiers to which the drive listens."""
-        raise NotImplementedError
 
     def timed_out(self) -> None:
         """React to missing commands: the motor is limp until the next one."""
@@ -101,10 +99,8 @@ class MitDrive:
 
     # --- Controller --------------------------------------------------------------------------
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        self.axis.at(now_ns)
-        self._is_powered = True
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
         self._boot_ns = now_ns + self._boot_up_ns
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -112,17 +108,9 @@ class MitDrive:
         can_id = can_id_of(data)
         if can_id & (EFF_FLAG | ERR_FLAG | RTR_FLAG) != self.flag or now_ns < self._deaf_ns:
             return
-        if self._is_powered and self._boot_ns == NEVER_NS:
-            self._at(now_ns)
+        if self.is_powered and self._boot_ns == NEVER_NS:
+            self.advance(now_ns)
             self.hear(can_id & ~self.flag, data_of(data))
-
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Handle a transmitted frame of this drive; nothing follows from it."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Return False: calls of `sent` are not needed."""
-        return False
 
     def next_deadline_ns(self) -> int | None:
         """Return the latest time of the next call of `expire` [ns]."""
@@ -135,52 +123,27 @@ class MitDrive:
         """Boot, notice missing commands and faults of the plant."""
         if now_ns >= self._boot_ns:
             self._boot_ns = NEVER_NS
-            self._boot(now_ns)
-        self._at(now_ns)
+            self._come_up(now_ns)
+        self.advance(now_ns)
         if now_ns >= self._due_ns:
             self.note("warning", f"no command for {self.watchdog_ns / 1e9:g} s")
             self.timed_out()
             self._due_ns = NEVER_NS
 
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to queue now."""
-        out, self._out = self._out, []
-        return out
+    def inject(self, fault: int) -> None:
+        """Cause a fault."""
+        self.fail(fault)
 
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of the events since the last call."""
-        events, self._events = self._events, []
-        return events
+    def go_dark(self) -> None:
+        """Lose the power, and so the fault."""
+        self._off()
+        self.fault = 0
+        self._boot_ns = NEVER_NS
 
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set a physical input: load [N m], supply [V], power (1, 0), a fault by its code.
-
-        Raises:
-            ValueError: there is no such stimulus, or the value is invalid.
-        """
-        inputs: dict[str, Callable[[float], None]] = {
-            "load_torque_n_m": self._load,
-            "supply_v": self.axis.set_supply,
-            "power": self._power,
-            "fault": self._inject,
-        }
-        if name not in inputs:
-            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(inputs)}")
-        self._at(now_ns)
-        inputs[name](value)
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true values at `now_ns`; those in rad and N m are at the gear's output."""
-        axis = self.axis
-        axis.at(now_ns)
+    def truth(self) -> Mapping[str, float]:
+        """Return the last command, whether it is on, and the fault."""
         p, v, kp, kd, t = self._command
         return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
             "command_position_rad": p,
             "command_velocity_rad_s": v,
             "command_kp_n_m_rad": kp,
@@ -188,7 +151,6 @@ class MitDrive:
             "command_torque_n_m": t,
             "is_on": float(self.is_on),
             "fault": float(self.fault),
-            **axis.truth_of_extras(),
         }
 
     def identifiers_revision(self) -> int:
@@ -263,15 +225,12 @@ class MitDrive:
 
     def send(self, can_id: int, data: bytes) -> None:
         """Queue a frame."""
-        self._out.append(pack(can_id | self.flag, data))
-
-    def note(self, level: str, text: str) -> None:
-        """Add an event to the record."""
-        self._events.append((level, text))
+        self.queue(pack(can_id | self.flag, data))
 
     # --- helpers -----------------------------------------------------------------------------
 
-    def _at(self, now_ns: int) -> None:
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time; notice faults of the plant."""
         self.now_ns = now_ns
         self.axis.at(now_ns)
         cause = self._cause() if self.is_on else 0
@@ -283,7 +242,7 @@ class MitDrive:
         active = self.axis.flags
         return next((code for flag, code in self.firmware.faults.items() if active & flag), 0)
 
-    def _boot(self, now_ns: int) -> None:
+    def _come_up(self, now_ns: int) -> None:
         axis = self.axis
         axis.at(now_ns)
         self._command = LIMP
@@ -307,25 +266,3 @@ class MitDrive:
         self.is_on = False
         self._due_ns = NEVER_NS
         self.axis.power(False)
-
-    def _load(self, value: float) -> None:
-        low, high = RANGES["load_torque_n_m"]
-        if not low <= value <= high:
-            raise ValueError(f"load_torque_n_m = {value}: out of range; {low:g} to {high:g}")
-        self.axis.set_load(value)
-
-    def _power(self, value: float) -> None:
-        if value not in (0, 1):
-            raise ValueError(f"power = {value}: expected 0 or 1")
-        if not value:
-            self._off()
-            self.fault = 0
-            self._is_powered, self._boot_ns = False, NEVER_NS
-        elif not self._is_powered:
-            self.start(self.now_ns)
-
-    def _inject(self, value: float) -> None:
-        if value not in self.firmware.codes:
-            codes = ", ".join(str(code) for code in self.firmware.codes) or "none"
-            raise ValueError(f"fault = {value}: not a fault of this drive; known: {codes}")
-        self.fail(int(value))

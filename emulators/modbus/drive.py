@@ -337,12 +337,7 @@ class ModbusDrive:
         axis = self.axis
         axis.at(now_ns)
         return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
+            **axis.truth(),
             "following_error_inc": float(axis.following_error_inc()),
             **axis.truth_of_extras(),
             **self.own_truth(),

@@ -31,10 +31,10 @@ from motorhil.emulators.api import (
     FD_FRAME_BYTES,
     FD_LENGTHS,
     NEVER_NS,
-    RANGES,
     RTR_FLAG,
     Controller,
     ControllerContext,
+    MotorDrive,
     MotorTable,
     can_id_of,
     controller,
@@ -59,6 +59,7 @@ _MODES: Final = 16
 _MS: Final = 1_000_000
 _ENABLING_NS: Final = 5 * _MS
 _CALIBRATION_CYCLES: Final = 256
+_BOARD_C: Final = (-100.0, 300.0)
 _CYCLES_S_MAX: Final = 30_000  # control cycles; the PWM may be faster
 _LEAST_VOLTAGE: Final = 4.0
 _FARTHEST: Final = 32768.0  # [rev]
@@ -145,7 +146,7 @@ class MoteusTable(MotorTable):
 
 
 @final
-class MoteusController:
+class MoteusController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns.
 
     Attributes:
@@ -159,6 +160,8 @@ class MoteusController:
         ratio = table.rotor_to_output_ratio
         gains = None if table.kp_n_m_rev is None else (table.kp_n_m_rev, table.kd_n_m_s_rev)
         self._servo = Servo(motor, ratio, gains)
+        super().__init__(self._servo.axis, range(1, 96))
+        self._has_extras: Final = motor.plant.extras.is_any()
         pwm_hz, self._volts, self._amps, self._hot_c = _FAMILIES[table.family]
         cycle_ns = 1_000_000_000 // min(pwm_hz, _CYCLES_S_MAX)
         self._calibration_ns = _CALIBRATION_CYCLES * cycle_ns
@@ -167,7 +170,6 @@ class MoteusController:
         self._bounds = (_or(table.position_min_rev, -inf), _or(table.position_max_rev, inf))
         self.mode: int = STOPPED
         self.fault: int = 0
-        self._is_powered = False
         self._board_c = self._motor_c = 25.0
         self._home = 1
         self._stored: dict[int, float] = {}
@@ -185,17 +187,13 @@ class MoteusController:
         self._stage_ns = self._watchdog_ns = self._tick_ns = NEVER_NS
         self._now_ns = self._boot_ns = 0
         self._heard, self._told = bytearray(), bytearray()
-        self._out: list[bytes] = []
-        self._events: list[tuple[str, str]] = []
-        self._servo.axis.set_thresholds(over_voltage_v=self._volts, under_voltage_v=_LEAST_VOLTAGE)
+        self.axis.set_thresholds(over_voltage_v=self._volts, under_voltage_v=_LEAST_VOLTAGE)
 
     # --- time
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        self._is_powered = True
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
         self._boot_ns = self._now_ns = now_ns
-        self._servo.axis.at(now_ns)
         self._servo.restart(self._table.output_encoder)
         self._home = 2 if self._table.output_encoder else 1
         self._given, self._stored = r.defaults(), dict.fromkeys(r.STORED, 0.0)
@@ -205,17 +203,18 @@ class MoteusController:
         due_ns = min(self._stage_ns, self._tick_ns)
         if self.mode in (POSITION, WITHIN):
             due_ns = min(due_ns, self._watchdog_ns)
-        if self.mode > FAULT and self._servo.axis.truth_of_extras():
-            due_ns = self._servo.axis.event_ns(due_ns)
+        if self.mode > FAULT and self._has_extras:
+            due_ns = min(due_ns, self.axis.event_ns(due_ns))
         return None if due_ns >= NEVER_NS else due_ns
 
     def expire(self, now_ns: int) -> None:
         """Do what is due."""
-        self._at(now_ns)
+        self.advance(now_ns)
 
-    def _at(self, now_ns: int) -> None:
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time."""
         self._now_ns = now_ns
-        self._servo.axis.at(now_ns)
+        self.axis.at(now_ns)
         if now_ns >= self._stage_ns:
             self._advance()
         self._check()
@@ -239,7 +238,7 @@ class MoteusController:
         """Raise the faults whose conditions are met."""
         if self.mode <= FAULT:
             return
-        active = self._servo.axis.flags
+        active = self.axis.flags
         if active & flags.OVER_VOLTAGE:
             self._fail(34)
         elif active & flags.UNDER_VOLTAGE:
@@ -258,7 +257,7 @@ class MoteusController:
     def _fail(self, code: int) -> None:
         self._release()
         self.mode, self.fault = FAULT, code
-        self._events.append(("error", f"fault {code}"))
+        self.note("error", f"fault {code}")
 
     def _release(self) -> None:
         self._servo.release()
@@ -305,7 +304,7 @@ class MoteusController:
         self._limit(given[0x025])
         servo.scale(given[0x023], given[0x024], given[0x02B])
         if not (isnan(given[0x02A]) and isnan(given[0x02C])):
-            self._events.append(("warning", "overrides (02Ah, 02Ch) are not emulated"))
+            self.warn("overrides (02Ah, 02Ch) are not emulated")
         if mode == POSITION:
             self._plan(is_first=before != POSITION)
         elif mode == WITHIN:
@@ -319,7 +318,7 @@ class MoteusController:
             servo.short()
         else:
             servo.push(0.0)
-            self._events.append(("warning", f"mode {mode} drives no current: not emulated"))
+            self.warn(f"mode {mode} drives no current: not emulated")
 
     def _damp(self, kd_scale: float) -> None:
         self._limit(min(self._ordered[0x025], self._table.timeout_max_torque_n_m))
@@ -336,7 +335,7 @@ class MoteusController:
         kind = self._table.timeout_mode
         position, velocity = self._control() if self.mode == POSITION else (nan, 0.0)
         self.mode, self._tick_ns = TIMEOUT, NEVER_NS
-        self._events.append(("warning", f"no command: timeout mode {kind}"))
+        self.warn(f"no command: timeout mode {kind}")
         if kind == ZERO_VELOCITY:
             self._damp(self._ordered[0x024])
         elif kind == BRAKE:
@@ -439,9 +438,9 @@ class MoteusController:
         can_id = can_id_of(data)
         own = (self._table.node_id, BROADCAST)
         is_ours = can_id >> 16 & 0x1FFF == self._table.can_prefix and can_id & 0xFF in own
-        if not is_ours or can_id & RTR_FLAG or not self._is_powered:
+        if not is_ours or can_id & RTR_FLAG or not self.is_powered:
             return
-        self._at(now_ns)
+        self.advance(now_ns)
         self._has_command = False
         self._measured = {}
         reply = bytearray() if can_id & 0x8000 else None
@@ -530,7 +529,7 @@ class MoteusController:
         control = self._control()[0] + shift
         servo.axis.set_position(round((before + shift) * servo.inc))
         self._home = 2
-        if self.mode in (POSITION, TIMEOUT) and self._servo.axis.flags & flags.POWERED:
+        if self.mode in (POSITION, TIMEOUT) and self.axis.flags & flags.POWERED:
             self._follow(Trajectory(control, 0.0, None, 0.0, inf, inf))
 
     def _read(self, span: range, kind: int, reply: bytearray) -> bool:
@@ -592,11 +591,11 @@ class MoteusController:
         can_id |= EFF_FLAG if can_id >= 0x800 else 0
         is_fd = len(query) == FD_FRAME_BYTES
         if len(reply) <= 8 and not is_fd:
-            self._out.append(pack(can_id, reply))
+            self.queue(pack(can_id, reply))
             return
         length = min(one for one in FD_LENGTHS if one >= len(reply))
         brs = query[5] & BRS if is_fd else 0
-        self._out.append(pack_fd(can_id, reply.ljust(length, bytes((r.NOP,))), brs))
+        self.queue(pack_fd(can_id, reply.ljust(length, bytes((r.NOP,))), brs))
 
     # --- values
 
@@ -649,69 +648,32 @@ class MoteusController:
     # --- the rest of the interface
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set the load [N·m] or the board's temperature [degC], cause a fault, switch the power.
+        """Set the board's temperature [degC], or an input of every drive.
 
         Raises:
-            ValueError: there is no such stimulus, or the value is out of range.
+            ValueError: there is no such input, or the value is out of range.
         """
-        ranges = {
-            "load_torque_n_m": RANGES["load_torque_n_m"],
-            "board_temperature_c": (-100.0, 300.0),
-            "fault": (1, 95),
-            "power": (0, 1),
-        }
-        if name not in ranges:
-            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(ranges)}")
-        low, high = ranges[name]
-        if not low <= value <= high or (name in ("fault", "power") and value != int(value)):
-            raise ValueError(f"{name} = {value}: out of range; {low:g} to {high:g}")
-        self._at(now_ns)
-        if name == "load_torque_n_m":
-            self._servo.axis.set_load(value)
-        elif name == "board_temperature_c":
-            self._board_c = value
-            self._check()
-        elif name == "fault":
-            self._fail(int(value))
-        elif value and not self._is_powered:
-            self.start(now_ns)
-        elif not value:
-            self._command(STOPPED)
-            self._is_powered = False
+        if name != "board_temperature_c":
+            super().stimulate(name, value, now_ns)
+            return
+        low, high = _BOARD_C
+        if not low <= value <= high:
+            raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
+        self.advance(now_ns)
+        self._board_c = value
+        self._check()
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Handle a transmitted frame of this drive; nothing follows from it."""
-        return False
+    def inject(self, fault: int) -> None:
+        """Cause a fault."""
+        self._fail(fault)
 
-    def wants_sent(self) -> bool:
-        """Return False: calls of `sent` are not needed."""
-        return False
+    def go_dark(self) -> None:
+        """Lose the power."""
+        self._command(STOPPED)
 
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to queue now."""
-        out, self._out = self._out, []
-        return out
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of the events since the last call."""
-        events, self._events = self._events, []
-        return events
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true values at `now_ns`."""
-        axis = self._servo.axis
-        axis.at(now_ns)
-        return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
-            "mode": float(self.mode),
-            "fault": float(self.fault),
-            **axis.truth_of_extras(),
-        }
+    def truth(self) -> Mapping[str, float]:
+        """Return the mode and the fault."""
+        return {"mode": float(self.mode), "fault": float(self.fault)}
 
     def identifiers(self) -> Sequence[int] | None:
         """Return all identifiers with its prefix, to its id or to all."""
@@ -722,10 +684,6 @@ class MoteusController:
             for node in (self._table.node_id, BROADCAST)
         ]
         return [*(one for one in every if one < 0x800), *(one | EFF_FLAG for one in every)]
-
-    def identifiers_revision(self) -> int:
-        """Return a number that grows when the identifiers change."""
-        return 0
 
 
 def _or(value: float | str, other: float) -> float:

@@ -147,10 +147,8 @@ class RmdController(MotorDrive):
 
     # --- time
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        self.axis.at(now_ns)
-        self.is_powered: bool = True
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
         self._now_ns = now_ns
         self._restart()
 
@@ -504,7 +502,6 @@ class RmdController(MotorDrive):
     def go_dark(self) -> None:
         """Lose the power."""
         self._off()
-        self.is_powered = False
 
     def truth(self) -> Mapping[str, float]:
         """Return mode, errors, and the number of writes to ROM."""

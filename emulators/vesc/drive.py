@@ -213,10 +213,8 @@ class VescController(MotorDrive):
 
     # --- time
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        self.axis.at(now_ns)
-        self.is_powered: bool = True
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
         self._now_ns = self._start_ns = now_ns
         self._power_on = self._last = self.axis.count()
         self._zero = self._power_on // self._turn * self._turn
@@ -591,7 +589,6 @@ class VescController(MotorDrive):
     def go_dark(self) -> None:
         """Lose the power."""
         self._release()
-        self.is_powered = False
         self._boot_ns = self._timeout_ns = self._deaf_ns = NEVER_NS
         self._status_ns = [NEVER_NS, NEVER_NS]
 

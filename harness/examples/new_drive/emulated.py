@@ -69,10 +69,8 @@ class MydriveController(MotorDrive):
 
     # 3. Time: what the drive does by itself, and when.
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        self.is_powered = True
-        self.axis.at(now_ns)
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
         self.axis.set_position(self.axis.count())
         self._next_ns = now_ns + round(self._settings.boot_up_s * 1e9)
 

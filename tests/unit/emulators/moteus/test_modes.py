@@ -146,6 +146,24 @@ def test_board_temperature_beyond_the_limit_is_fault_38(family, limit):
     assert bench.read(MODE, CODE) == [FAULT, 38]
 
 
+LINK = {"preset": "wheel_60w", "source_resistance_ohm": 0.5, "dc_link_capacitance_f": 5e-4}
+
+
+def test_enabling_takes_its_time_though_the_dc_link_rests():
+    bench = Bench(plant=LINK).position(position=nan).run(10)
+    assert bench.drive.snapshot(bench.now)["mode"] == CALIBRATING
+    assert bench.run(15).drive.snapshot(bench.now)["mode"] == POSITION
+
+
+@pytest.mark.parametrize(("supply_v", "code"), [(3.9, 40), (60.0, 34)])
+def test_supply_beyond_the_limits_is_a_fault(supply_v, code):
+    bench = Bench(plant={**LINK, "dc_link_bleed_ohm": 20.0}).powered()
+    assert bench.mode() == POSITION
+    bench.drive.stimulate("supply_v", supply_v, bench.now)
+    bench.run(100)
+    assert bench.read(MODE, CODE) == [FAULT, code]
+
+
 @pytest.mark.parametrize(
     ("key", "code"), [("fault_position_error_rev", 49), ("fault_velocity_error_rev_s", 50)]
 )

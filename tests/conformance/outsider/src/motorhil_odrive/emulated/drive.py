@@ -18,8 +18,8 @@ from motorhil.emulators.api import (
     EFF_FLAG,
     ERR_FLAG,
     NEVER_NS,
-    RANGES,
     RTR_FLAG,
+    MotorDrive,
     can_id_of,
     data_of,
     pack,
@@ -44,11 +44,11 @@ _CALIBRATIONS: Final = (
     AxisState.ENCODER_HALL_PHASE_CALIBRATION,
     AxisState.ANTICOGGING_CALIBRATION,
 )
-_STIMULI: Final = ("load_torque_n_m", "power", "fault", "encoder")
+_ERRORS: Final = range(1, 1 << 32)
 
 
 @final
-class OdriveController:
+class OdriveController(MotorDrive):
     """Implements `motorhil.emulators.controller.Controller`.
 
     Attributes:
@@ -60,38 +60,37 @@ class OdriveController:
     def __init__(self, settings: OdriveSettings, events: Sequence[tuple[str, str]] = ()) -> None:
         self.settings: Final = settings
         self.control: Final = Control(settings)
+        super().__init__(self.control.axis, _ERRORS)
         self.state = AxisState.UNDEFINED
         self.result = ProcedureResult.SUCCESS
         self.active_errors = 0
         self.disarm_reason = 0
         self.node_id = settings.node_id
         self._saved = Parameters()
-        self._is_powered = False
         self._boot_ns = self._heartbeat_ns = self._encoder_ns = NEVER_NS
         self._watchdog_ns = self._calibrated_ns = NEVER_NS
         self._homing: Homing | None = None
         self._now_ns = 0
-        self._out: list[bytes] = []
-        self._events = list(events)
+        for level, text in events:
+            self.note(level, text)
         self._revision = 0
 
     # --- Controller ------------------------------------------------------------------------------
 
-    def start(self, now_ns: int) -> None:
-        """Switch the power on."""
-        self._is_powered = True
+    def boot(self, now_ns: int) -> None:
+        """Begin anew with power."""
         self.reboot(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Handle a frame from the bus."""
         can_id = can_id_of(data)
-        if can_id & (EFF_FLAG | ERR_FLAG) or not self._is_powered or self._boot_ns != NEVER_NS:
+        if can_id & (EFF_FLAG | ERR_FLAG) or not self.is_powered or self._boot_ns != NEVER_NS:
             return
         command, node_id = can_id & m.COMMAND_MASK, (can_id & 0x7FF) >> m.COMMAND_BITS
         is_remote = bool(can_id & RTR_FLAG)
         if node_id != self.node_id and command != m.ADDRESS:
             return
-        self._at(now_ns)
+        self.advance(now_ns)
         self._feed_watchdog()
         payload = data_of(data)
         if command == m.ADDRESS:
@@ -111,14 +110,6 @@ class OdriveController:
         elif command == m.RX_SDO:
             self.note("warning", "access to endpoints (04h) is not emulated")
 
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Handle a transmitted frame of this drive; nothing follows from it."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Return False: calls of `sent` are not needed."""
-        return False
-
     def next_deadline_ns(self) -> int | None:
         """Return the latest time of the next call of `expire` [ns]."""
         due_ns = min(self._boot_ns, self._heartbeat_ns, self._encoder_ns, self._watchdog_ns)
@@ -132,7 +123,7 @@ class OdriveController:
         if now_ns >= self._boot_ns:
             self._boot_ns = NEVER_NS
             self._boot(now_ns)
-        self._at(now_ns)
+        self.advance(now_ns)
         if now_ns >= self._watchdog_ns:
             self.active_errors |= Error.WATCHDOG_TIMER_EXPIRED
             self.fail(Error.WATCHDOG_TIMER_EXPIRED)
@@ -145,62 +136,37 @@ class OdriveController:
             self._heartbeat_ns += self.settings.heartbeat_ns
             self.tell(m.HEARTBEAT)
 
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to queue now."""
-        out, self._out = self._out, []
-        return out
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return (level, text) of the events since the last call."""
-        events, self._events = self._events, []
-        return events
-
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set the load at the output [N m], switch power or encoder (1, 0), or cause a short error.
+        """Connect or disconnect the encoder (1, 0), or set an input of every drive.
 
         Raises:
-            ValueError: there is no such stimulus, or the value is invalid.
+            ValueError: there is no such input, or the value is out of range.
         """
-        self._at(now_ns)
-        if name not in _STIMULI:
-            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(_STIMULI)}")
-        if name == "load_torque_n_m":
-            low, high = RANGES[name]
-            if not low <= value <= high:
-                raise ValueError(f"load_torque_n_m is {low:g}..{high:g} N m, not {value}")
-            self.control.axis.set_load(value)
-        elif name == "fault":
-            if not (0 < value < 1 << 32 and value == int(value)):
-                raise ValueError(f"fault is the bits of an error, 1..FFFFFFFFh, not {value}")
-            self.fail(int(value))
-        elif value not in (0, 1):
-            raise ValueError(f"{name} is 0 or 1, not {value}")
-        elif name == "encoder":
-            self.active_errors &= ~Error.MISSING_ESTIMATE
-            if not value:
-                self.active_errors |= Error.MISSING_ESTIMATE
-                self.fail(Error.MISSING_ESTIMATE)
-        elif value and not self._is_powered:
-            self.start(now_ns)
-        elif not value:
-            self.fall_silent()
-            self._is_powered = False
+        if name != "encoder":
+            super().stimulate(name, value, now_ns)
+            return
+        if value not in (0, 1):
+            raise ValueError(f"{name} = {value}: out of range; expected 0 or 1")
+        self.advance(now_ns)
+        self.active_errors &= ~Error.MISSING_ESTIMATE
+        if not value:
+            self.active_errors |= Error.MISSING_ESTIMATE
+            self.fail(Error.MISSING_ESTIMATE)
 
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the true values at `now_ns`; those in rad and N m are at the gear's output."""
-        axis = self.control.axis
-        axis.at(now_ns)
+    def inject(self, fault: int) -> None:
+        """Cause an error for an instant."""
+        self.fail(fault)
+
+    def go_dark(self) -> None:
+        """Lose the power."""
+        self.fall_silent()
+
+    def truth(self) -> Mapping[str, float]:
+        """Return the following error, the axis state and its errors."""
         return {
-            "position_rad": axis.output_position_rad(),
-            "velocity_rad_s": axis.output_velocity_rad_s(),
-            "position_inc": float(axis.position_inc()),
-            "demand_inc": float(axis.demand_inc()),
-            "current_a": axis.current_a(),
-            "torque_n_m": axis.torque_n_m(),
-            "following_error_inc": float(axis.following_error_inc()),
+            "following_error_inc": float(self.axis.following_error_inc()),
             "axis_state": float(self.state),
             "axis_error": float(self.active_errors | self.disarm_reason),
-            **axis.truth_of_extras(),
         }
 
     def identifiers(self) -> Sequence[int] | None:
@@ -275,11 +241,7 @@ class OdriveController:
         """Queue a message, if the drive has one of this kind."""
         if command in m.TOLD:
             data = m.TOLD[command][0].pack(*told(self, command))
-            self._out.append(pack(self.node_id << m.COMMAND_BITS | command, data))
-
-    def note(self, level: str, text: str) -> None:
-        """Add an event to the record."""
-        self._events.append((level, text))
+            self.queue(pack(self.node_id << m.COMMAND_BITS | command, data))
 
     # --- helpers ---------------------------------------------------------------------------------
 
@@ -295,7 +257,8 @@ class OdriveController:
             self._encoder_ns = now_ns
         self._now_ns = now_ns
 
-    def _at(self, now_ns: int) -> None:
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time."""
         self._now_ns = now_ns
         control = self.control
         control.axis.at(now_ns)
@@ -341,7 +304,7 @@ class OdriveController:
         serial = self.settings.serial_number.to_bytes(6, "little")
         if is_remote or len(payload) < m.ADDRESSING.size:
             data = m.ADDRESSING.pack(self.node_id, serial)
-            self._out.append(pack(self.node_id << m.COMMAND_BITS | m.ADDRESS, data))
+            self.queue(pack(self.node_id << m.COMMAND_BITS | m.ADDRESS, data))
             return
         node_id, wanted = m.ADDRESSING.unpack_from(payload)
         if wanted in (serial, bytes(6)):
