@@ -563,9 +563,7 @@ class MotorHooks(Device, ABC):
         run, latest = self._physical.run, self._latest()
         if latest is None:
             return run is None
-        fault = self._latest_fault()
-        if fault is not None:
-            raise fault.as_error(self.name)
+        self._check_fault()
         began_ns = None if run is None or run.is_over or run.motion is None else run.since_ns
         is_off = latest.state is MotorState.DISABLED
         if is_off and began_ns is not None and latest.time_ns > began_ns:
@@ -620,7 +618,13 @@ class MotorHooks(Device, ABC):
         Must neither wait nor send.
         """
 
-    # ---- internal ----
+    # ---- for adaptations and for the defaults above ----
+
+    def _check_fault(self) -> None:
+        """Raise the last fault received as a DeviceFault, if there is one; do not override."""
+        fault = self._latest_fault()
+        if fault is not None:
+            raise fault.as_error(self.name)
 
     def __check_heard(self) -> None:
         check = self._physical.check_heard

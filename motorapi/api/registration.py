@@ -34,6 +34,12 @@ class Hardware(Protocol):
         """Close the hardware; no motor can use it afterwards."""
 
 
+class _WithOptions(Protocol):
+    """Hardware made with options."""
+
+    options: object
+
+
 API_VERSION: Final = 1
 """The version of `motorhil.motorapi.api`."""
 
@@ -118,6 +124,27 @@ class Shared(Generic[HardwareT]):
             )
         hardware.users += 1
         return hardware
+
+    def on_can(
+        self,
+        make: Callable[..., HardwareT],
+        bus: object,
+        node_id: int,
+        runtime: object,
+        options: object,
+    ) -> tuple[HardwareT, Callable[[], None]]:
+        """Return the hardware object of a drive on CAN, and the call that gives it back.
+
+        `make` is its class, which takes bus, node_id, `runtime` and `options`, and keeps the
+        options as an attribute. Raises as `get`.
+        """
+        hardware = self.get(
+            bus,
+            node_id,
+            lambda: make(bus, node_id, runtime=runtime, options=options),
+            lambda built: cast("_WithOptions", built).options == options,
+        )
+        return hardware, lambda: self.give_back(hardware)
 
     def give_back(self, hardware: HardwareT) -> None:
         """Count one user less; the last one closes the hardware."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.synchronization.quality import MotionTimes
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api.can_drive import CanDrive
@@ -30,7 +31,7 @@ class SetpointStream:
         duration_s: the time of the last set-point [s].
         period_s: the time between two set-points [s].
         send: sends one.
-        on_last: called with the frame of the last set-point.
+        on_last: called with the frame of the last set-point; None: nothing is.
 
     Attributes:
         last: the last set-point sent, or None.
@@ -45,7 +46,7 @@ class SetpointStream:
         duration_s: float,
         period_s: float,
         send: SendSetpoint,
-        on_last: "Callable[[SentFrame], None]",
+        on_last: "Callable[[SentFrame], None] | None" = None,
     ) -> None:
         self.last: float | None = None
         self.error: MotorError | None = None
@@ -56,6 +57,8 @@ class SetpointStream:
         self._period_s: Final = period_s
         self._send_one: Final = send
         self._on_last: Final = on_last
+        self._first: SentFrame | None = None
+        self._end: SentFrame | None = None
         self._fence: BoundFence | None = None
         self._began_ns = self._last_ns = 0
         self._registration: Registration | None = None
@@ -70,10 +73,19 @@ class SetpointStream:
         drive = self._drive
         self._began_ns = self._last_ns = drive.runtime.now_ns()
         self._fence = drive.stream_fence("a stream of set-points")
-        sent = self._send(0.0)
+        self._first = self._send(0.0)
         if self._duration_s > 0.0:
             self._registration = drive.runtime.every(self._period_s, self._again)
-        return sent
+        return self._first
+
+    def times(self) -> MotionTimes | None:
+        """Return when the first and the last set-point were on the bus; None: not begun."""
+        if self._first is None:
+            return None
+        began_ns, end = self._first.time_ns, self._end
+        source = "the first and the last set-point on the wire"
+        ended_ns = None if end is None else end.time_ns
+        return MotionTimes(began_ns, ended_ns, source, latched_ns=began_ns)
 
     def cancel(self) -> None:
         """End the stream; cancelling again does nothing."""
@@ -99,6 +111,8 @@ class SetpointStream:
         self.last = self._value(at_s)
         sent = self._send_one(self.last, self._fence)
         if at_s >= self._duration_s:
-            self._on_last(sent)
+            self._end = sent
+            if self._on_last is not None:
+                self._on_last(sent)
             self.cancel()
         return sent

@@ -45,8 +45,7 @@ class StreamedMotion:
         self._period_s: Final = period_s
         self._lead_s: Final = lead_s
         self._stream: SetpointStream | None = None
-        self._first: SentFrame | None = None
-        self._last: SentFrame | None = None
+        self._started: SetpointStream | None = None  # by the last motion; a stop has its own
         self._course: Course = (float, 0.0)
         self._began_ns = 0
 
@@ -90,7 +89,9 @@ class StreamedMotion:
             course = (profile.value, profile.duration_s)
         else:
             course = _ramp(motion, value, scale)
-        return self._follow(motion.variable, course, send)
+        sent = self._follow(motion.variable, course, send)
+        self._started = self._stream
+        return sent
 
     def stop(
         self, deceleration: float, measured: tuple[float, float], send: SendSetpoint
@@ -117,20 +118,9 @@ class StreamedMotion:
         at_s, demand = self._elapsed_s(), self._course[0]
         return demand(at_s), (demand(at_s + _STEP_S) - demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
 
-    def times(self) -> MotionTimes | None:
-        """Return when the first and the last set-point were on the bus; None: no motion yet.
-
-        A position that is held already has neither a beginning nor an end.
-        """
-        if self._first is None:
-            return None
-        if self.variable is ControlVariable.POSITION and self._course[1] == 0.0:
-            return None
-        began_ns, ended_ns = (
-            None if one is None else one.time_ns for one in (self._first, self._last)
-        )
-        source = "the first and the last set-point on the wire"
-        return MotionTimes(began_ns, ended_ns, source, latched_ns=began_ns)
+    def times(self) -> "MotionTimes | None":
+        """Return when the last motion began and ended on the bus; None: no motion yet."""
+        return None if self._started is None else self._started.times()
 
     def cancel(self) -> None:
         """End the stream; the drive keeps the last set-point."""
@@ -154,14 +144,9 @@ class StreamedMotion:
         self._stream = SetpointStream(
             self._drive,
             lambda at_s: value(min(at_s + lead_s, duration_s)),
-            *(duration_s, self._period_s, send, self._note_last),
+            *(duration_s, self._period_s, send),
         )
-        self._first = self._last = None
-        self._first = self._stream.begin()
-        return self._first
-
-    def _note_last(self, sent: "SentFrame") -> None:
-        self._last = sent
+        return self._stream.begin()
 
 
 def _ramp(motion: "Motion", value: float, scale: float) -> Course:

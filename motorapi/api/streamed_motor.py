@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from motorhil.motorapi.commands import ControlMode, ControlVariable
-from motorhil.motorapi.errors import DeviceFault, MotorBusyError
+from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.motor import Motor
 
 if TYPE_CHECKING:
@@ -103,13 +103,6 @@ class StreamedMotor(Motor, Generic[HardwareT]):
     def _scale(self, variable: ControlVariable) -> float:
         """Return units of the drive per unit of this variable."""
         return 1.0 if variable is ControlVariable.CURRENT else self._units
-
-    def _check_fault(self) -> None:
-        fault = self.hardware.fault
-        if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
 
     def _hold(self) -> None:
         """Hold the present position; return when the command is on the bus."""

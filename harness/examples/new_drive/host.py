@@ -365,11 +365,6 @@ class MydriveMotor(Motor):
         self._hardware.obey(CLEAR, lambda status: True)
         self._check_fault()
 
-    def _check_fault(self) -> None:
-        fault = self._hardware.fault()
-        if fault is not None:
-            raise fault.as_error(self.name)
-
     # 7. The hardware itself, for applications that need more than a motor.
 
     def _open_low_level(self) -> MydriveHwMotor:
@@ -392,13 +387,7 @@ def build(
         UsageError: a setting is unknown, missing, or wrong.
     """
     own = read_settings(MotorTable, settings)
-    options = own.part(DriveOptions)
-    hardware = _SHARED.get(
-        bus,
-        own.node_id,
-        lambda: MydriveHwMotor(bus, own.node_id, runtime=runtime, options=options),
-        lambda built: built.options == options,
+    hardware, give_back = _SHARED.on_can(
+        MydriveHwMotor, bus, own.node_id, runtime, own.part(DriveOptions)
     )
-    return MydriveMotor(
-        hardware, model, name=own.name, on_close=lambda: _SHARED.give_back(hardware)
-    )
+    return MydriveMotor(hardware, model, name=own.name, on_close=give_back)

@@ -485,16 +485,12 @@ def build(
         UsageError: a setting is unknown, missing or invalid.
     """
     own = read_settings(Cia402Table, settings)
-    options = own.part(HwOptions)
-    hardware = _SHARED.get(
-        bus,
-        own.node_id,
-        lambda: Cia402HwMotor(bus, own.node_id, runtime=runtime, options=options),
-        lambda built: built.options == options,
+    hardware, give_back = _SHARED.on_can(
+        Cia402HwMotor, bus, own.node_id, runtime, own.part(HwOptions)
     )
     return Cia402Motor(
         hardware,
         model,
         name=own.name,
-        on_close=lambda: _SHARED.give_back(hardware),
+        on_close=give_back,
     )

@@ -20,6 +20,7 @@ from motorhil.motorapi.adaptations.mit.frames import Answer, Command, Frames, Ma
 from motorhil.motorapi.api import (
     CanDrive,
     LinkError,
+    MotionTimes,
     Options,
     PeerError,
     PeriodicMessage,
@@ -124,7 +125,6 @@ class MitHwMotor:
         answer, time_ns: the last answer, and when it was complete on the bus; None: none yet.
         is_on: whether the motor has current, as far as known.
         plan: what this program repeats; None: another program, or nobody, controls the motor.
-        started_ns: when the first command of the last motion was on the bus [ns]; None: not known.
         behind: the demand minus the last position [rad]; None: no position is demanded.
         fault: the code of the fault, of the drive or `FOLLOWING_ERROR`; 0: none.
         mismatch: why the ranges are wrong; "": nothing says so.
@@ -152,9 +152,8 @@ class MitHwMotor:
         self.plan: Plan | None = None
         self.mismatch: str = ""
         self.users = 0
-        self.started_ns: int | None = None
         self._stream: SetpointStream | None = None
-        self._last: SentFrame | None = None
+        self._started: SetpointStream | None = None
         self._is_asking = self._is_checked = False
         self._began_ns = self._deaf_ns = self._polled_ns = 0
         self._moved = self._summed = 0.0
@@ -229,24 +228,22 @@ class MitHwMotor:
             return self.drive.command(*self.frames.command(plan(at_s)), fence=fence)
 
         stream = SetpointStream(
-            *(self.drive, float, duration_s, self.options.period_ms / 1e3, send),
-            self._note_last,
+            *(self.drive, float, duration_s, self.options.period_ms / 1e3, send)
         )
-        self.started_ns, self._last = None, None
         sent = stream.begin()
-        self._stream, self._moved, self._summed = stream, 0.0, 0.0
+        self._stream = self._started = stream
+        self._moved = self._summed = 0.0
         self._set(plan)
-        self.started_ns = self.drive.confirm(sent)
+        self.drive.confirm(sent)
 
     def start_offer(self) -> SyncOffer:
         """Return the offer of a start by the first command of a motion."""
         can_id, data = self.frames.command(LIMP)
         return self.drive.start_offer(can_id, len(data))
 
-    @property
-    def ended_ns(self) -> int | None:
-        """The time when the last command of the motion was complete on the bus, or None [ns]."""
-        return None if self._last is None else self._last.time_ns
+    def times(self) -> MotionTimes | None:
+        """Return when the last motion began and ended on the bus; None: no motion yet."""
+        return None if self._started is None else self._started.times()
 
     def stop(self, plan: Plan) -> None:
         """Execute a stop, whoever owns the motor."""
@@ -326,9 +323,6 @@ class MitHwMotor:
 
     def _set(self, plan: Plan) -> None:
         self.plan, self._began_ns = plan, self.drive.runtime.now_ns()
-
-    def _note_last(self, sent: SentFrame) -> None:
-        self._last = sent
 
     def _end_stream(self) -> None:
         if self._stream is not None:

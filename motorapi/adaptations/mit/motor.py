@@ -35,7 +35,6 @@ from motorhil.motorapi.api import (
     ControlMode,
     ControlVariable,
     DeadlineExceeded,
-    DeviceFault,
     Fault,
     LimitError,
     Measurement,
@@ -170,13 +169,7 @@ class MitMotor(Motor):
         return self._hardware.start_offer()
 
     def _motion_times(self) -> MotionTimes | None:
-        hardware = self._hardware
-        if hardware.started_ns is None:
-            return None
-        source = "the first and the last command of its stream on the wire"
-        return MotionTimes(
-            hardware.started_ns, hardware.ended_ns, source, latched_ns=hardware.started_ns
-        )
+        return self._hardware.times()
 
     def _read_reference(self) -> float:
         held = self._hardware.present()
@@ -260,13 +253,6 @@ class MitMotor(Motor):
         faults = {FOLLOWING_ERROR: "following error", **hardware.frames.maker.faults}
         texts = [faults[code]] if code in faults else [t for c, t in faults.items() if code & c]
         return Fault(code, ", ".join(texts) or "unknown", hardware.fault_ns) if code else None
-
-    def _check_fault(self) -> None:
-        fault = self._fault()
-        if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
 
 
 def _at(ramps: Ramps, motion: Motion, at_s: float) -> float:

@@ -22,7 +22,6 @@ from motorhil.motorapi.api import (
     CanDrive,
     ControlMode,
     ControlVariable,
-    DeviceFault,
     Fault,
     LinkError,
     Measurement,
@@ -522,13 +521,6 @@ class MoteusMotor(Motor):
         self._disable()
         self._check_fault()
 
-    def _check_fault(self) -> None:
-        fault = self._hardware.fault()
-        if fault is not None:
-            raise DeviceFault(
-                motor=self.name, code=fault.code, text=fault.text, since_ns=fault.since_ns
-            )
-
     def _home(self, method: int | None) -> None:
         if method not in _HERE:
             feature = f"homing by method {method}"
@@ -562,11 +554,7 @@ def build(
         UsageError: a setting is unknown, missing, or wrong.
     """
     own = read_settings(MoteusTable, settings)
-    options = own.part(MoteusOptions)
-    hardware = _SHARED.get(
-        bus,
-        own.node_id,
-        lambda: MoteusHwMotor(bus, own.node_id, runtime=runtime, options=options),
-        lambda built: built.options == options,
+    hardware, give_back = _SHARED.on_can(
+        MoteusHwMotor, bus, own.node_id, runtime, own.part(MoteusOptions)
     )
-    return MoteusMotor(hardware, model, name=own.name, on_close=lambda: _SHARED.give_back(hardware))
+    return MoteusMotor(hardware, model, name=own.name, on_close=give_back)

@@ -159,11 +159,7 @@ def build(
         UsageError: a setting is unknown, missing, or wrong.
     """
     own = read_settings(RmdTable, settings)
-    options = own.part(RmdOptions)
-    hardware = _SHARED.get(
-        bus,
-        own.node_id,
-        lambda: RmdHwMotor(bus, own.node_id, runtime=runtime, options=options),
-        lambda built: built.options == options,
+    hardware, give_back = _SHARED.on_can(
+        RmdHwMotor, bus, own.node_id, runtime, own.part(RmdOptions)
     )
-    return RmdMotor(hardware, model, name=own.name, on_close=lambda: _SHARED.give_back(hardware))
+    return RmdMotor(hardware, model, name=own.name, on_close=give_back)

@@ -186,11 +186,7 @@ def build(
         UsageError: a setting is unknown, missing, or wrong.
     """
     own = read_settings(VescTable, settings)
-    options = own.part(VescOptions)
-    hardware = _SHARED.get(
-        bus,
-        own.node_id,
-        lambda: VescHwMotor(bus, own.node_id, runtime=runtime, options=options),
-        lambda built: built.options == options,
+    hardware, give_back = _SHARED.on_can(
+        VescHwMotor, bus, own.node_id, runtime, own.part(VescOptions)
     )
-    return VescMotor(hardware, model, name=own.name, on_close=lambda: _SHARED.give_back(hardware))
+    return VescMotor(hardware, model, name=own.name, on_close=give_back)

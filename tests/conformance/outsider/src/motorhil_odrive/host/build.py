@@ -34,16 +34,12 @@ def build(
         UsageError: a setting is unknown, missing, or wrong.
     """
     own = read_settings(OdriveMotorTable, settings)
-    options = own.part(OdriveOptions)
-    hardware = _SHARED.get(
-        bus,
-        own.node_id,
-        lambda: OdriveHwMotor(bus, own.node_id, runtime=runtime, options=options),
-        lambda built: built.options == options,
+    hardware, give_back = _SHARED.on_can(
+        OdriveHwMotor, bus, own.node_id, runtime, own.part(OdriveOptions)
     )
     return OdriveMotor(
         hardware,
         model,
         name=own.name,
-        on_close=lambda: _SHARED.give_back(hardware),
+        on_close=give_back,
     )
