@@ -24,13 +24,12 @@ PipeDelivery = tuple[bytes, int, bool]
 class _Direction:
     """One direction of one connection."""
 
-    __slots__ = ("free_ns", "is_broken", "is_closed", "name")
+    __slots__ = ("free_ns", "is_broken", "name")
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.free_ns = 0
         self.is_broken = False  # data sent from now on are lost
-        self.is_closed = False  # data in transit are lost as well
 
 
 @final
@@ -51,20 +50,22 @@ class BytePipe:
         self.name: Final = name
         self._latency_ns: Final = latency_ns
         self._plan: Final = faults
-        self._ways: list[tuple[_Direction, _Direction]] = []  # to the server, to the client
+        # By number of an open connection: to the server, to the client.
+        self._ways: dict[int, tuple[_Direction, _Direction]] = {}
+        self._opened = 0
         self._waiting: list[tuple[int, int, bytes, int, bool]] = []  # (due, turn, and a delivery)
         self._turn = 0
 
     def connect(self, client: str, server: str) -> int:
         """Open a connection and return its number."""
-        self._ways.append((_Direction(client), _Direction(server)))
-        return len(self._ways) - 1
+        connection = self._opened
+        self._opened += 1
+        self._ways[connection] = _Direction(client), _Direction(server)
+        return connection
 
     def close(self, connection: int) -> None:
         """Close the connection and discard all data in transit."""
-        for way in self._ways[connection]:
-            way.is_broken = True
-            way.is_closed = True
+        self._ways.pop(connection, None)
 
     def submit(
         self, connection: int, to_server: bool, data: bytes, now_ns: int, sender: str | None = None
@@ -73,8 +74,11 @@ class BytePipe:
 
         `sender` is the device behind that end, for fault rules.
         """
-        way = self._ways[connection][0 if to_server else 1]
-        if way.is_broken or not data:
+        ways = self._ways.get(connection)
+        if ways is None or not data:
+            return b""
+        way = ways[0 if to_server else 1]
+        if way.is_broken:
             return b""
         fate: Fate = (data, 0, 0, 0, True)
         if self._plan is not None:
@@ -104,8 +108,8 @@ class BytePipe:
         """Return the time of the next arrival [ns], or None if nothing is in transit."""
         waiting = self._waiting
         while waiting:
-            due_ns, _, _, connection, to_server = waiting[0]
-            if not self._ways[connection][0 if to_server else 1].is_closed:
+            due_ns, _, _, connection, _ = waiting[0]
+            if connection in self._ways:
                 return due_ns
             heappop(waiting)
         return None
@@ -116,6 +120,6 @@ class BytePipe:
         waiting = self._waiting
         while waiting and waiting[0][0] <= now_ns:
             _, _, data, connection, to_server = heappop(waiting)
-            if not self._ways[connection][0 if to_server else 1].is_closed:
+            if connection in self._ways:
                 out.append((data, connection, to_server))
         return out

@@ -173,14 +173,15 @@ class TcpSegment(LineSegment):
         self._pipe = pipe
         self._slots: dict[int, ControllerSlot] = {}  # by unit
         self._units: dict[int, int] = {}  # by port
-        self._connections: dict[int, int] = {}  # by port
+        self._connections: dict[int, int] = {}  # open ones, by port
         self._timeout = overseer.queue.alarm(self._give_up)
-        self._hosts: list[LineHost] = []  # by connection
-        self._streams: list[MbapStream] = []
+        self._clients: dict[int, tuple[LineHost, MbapStream]] = {}  # by open connection
+        self._ports = 0
 
     def attach(self, name: str) -> int:
         """Return the number of the next port."""
-        return len(self.endpoints)
+        self._ports += 1
+        return self._ports - 1
 
     def join(self, slot: ControllerSlot, unit: int) -> None:
         """Add the controller under this unit identifier.
@@ -196,26 +197,28 @@ class TcpSegment(LineSegment):
     def add_host(self, name: str, listener: HostListener) -> LineHost:
         """Open a connection."""
         name = self.free_name(name)
-        host = LineHost(name, len(self.endpoints), self, listener)
+        host = LineHost(name, self.attach(name), self, listener)
         self.endpoints.append(host)
-        self._connections[host.port] = self._pipe.connect(name, self.name)
-        self._hosts.append(host)
-        self._streams.append(MbapStream())
+        connection = self._connections[host.port] = self._pipe.connect(name, self.name)
+        self._clients[connection] = host, MbapStream()
         return host
 
     def remove_listener(self, endpoint: Endpoint) -> None:
-        """Close the connection."""
+        """Close the connection, and forget it; closing it again has no effect."""
         super().remove_listener(endpoint)
-        connection = self._connections[endpoint.port]
-        self._pipe.close(connection)
-        self.gateway.forget(connection)
+        connection = self._connections.pop(endpoint.port, None)
+        if connection is not None:
+            self.endpoints.remove(endpoint)
+            del self._clients[connection]
+            self._pipe.close(connection)
+            self.gateway.forget(connection)
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """Process the bytes of a client, or the response of a controller."""
         connection = self._connections.get(port)
         if connection is not None:
             self._pipe.submit(connection, True, frame, now_ns)
-        else:
+        elif port in self._units:
             self._respond(self._units[port], frame[1:-2], now_ns)
         self._settle(self._pipe.next_deadline_ns())
 
@@ -238,10 +241,13 @@ class TcpSegment(LineSegment):
 
     def _expire(self, now_ns: int) -> None:
         for data, connection, to_server in self._pipe.expire(now_ns):
+            client = self._clients.get(connection)
+            if client is None:  # closed since, at this time
+                continue
             if to_server:
-                self._hear(connection, data, now_ns)
+                self._hear(connection, *client, data, now_ns)
             else:
-                self._hosts[connection].deliver(data, now_ns)
+                client[0].deliver(data, now_ns)
         self._settle(self._pipe.next_deadline_ns())
 
     def _give_up(self, now_ns: int) -> None:
@@ -252,8 +258,9 @@ class TcpSegment(LineSegment):
         self._timeout.set(self.gateway.next_deadline_ns())
         self._settle(self._pipe.next_deadline_ns())
 
-    def _hear(self, connection: int, data: bytes, now_ns: int) -> None:
-        stream, host = self._streams[connection], self._hosts[connection]
+    def _hear(
+        self, connection: int, host: LineHost, stream: MbapStream, data: bytes, now_ns: int
+    ) -> None:
         for request in stream.feed(data):
             if self.taps:
                 self._tap(now_ns, host.name, adu_of(*request))

@@ -94,8 +94,9 @@ class EmulatedLine:
         """
         if self._is_over:
             raise LinkError(link=self.name, reason="the connection is closed")
-        self._port.close()
+        closed = self._port
         self._port = self._world.add_line_host(self.name, "host", self._receive)
+        closed.close()  # only now, so that two connections in a row have two names
         self.is_closed = False
 
     def _receive(self, data: bytes, now_ns: int, transmitted: bool) -> None:

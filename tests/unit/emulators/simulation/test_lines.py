@@ -3,6 +3,7 @@
 The expected times are computed here from the standard's numbers (MODBUS over Serial Line V1.02).
 """
 
+import gc
 from collections.abc import Mapping
 from fractions import Fraction
 
@@ -227,6 +228,32 @@ def test_two_connections_get_their_own_responses():
     world.queue.run_until(1000 * MS)
     assert [data for _, data, _ in first] == [adu(1, 1, bytes.fromhex("03020064"))]
     assert [data for _, data, _ in second] == [adu(1, 1, bytes.fromhex("03020065"))]
+
+
+def objects() -> int:
+    """Return the number of objects, without garbage."""
+    gc.collect()
+    return len(gc.get_objects())
+
+
+def test_connections_may_come_and_go_without_end():
+    world, _ = a_world(tcp=True)
+    heard: Heard = []
+    before = 0
+    for number in range(300):
+        host = world.add_line_host("line", "host", listener(heard))
+        assert host.name == "host"
+        host.send(adu(number, 1, bytes.fromhex("03 0001 0001")))
+        host.close()
+        host.close()
+        host.send(b"too late")
+        world.queue.run_until(number * MS)
+        before = before or objects()
+    last = world.add_line_host("line", "host", listener(heard))
+    last.send(adu(7, 1, bytes.fromhex("03 0001 0001")))
+    world.queue.run_until(1_000 * MS)
+    assert [data for _, data, _ in heard] == [adu(7, 1, bytes.fromhex("03 02 0065"))]
+    assert objects() < before + 100
 
 
 def test_foreign_protocol_is_disconnected_with_reason():
