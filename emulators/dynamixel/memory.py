@@ -35,16 +35,20 @@ class Memory:
         self._end: Final = max(item.address + item.size for item in items)
         self._delivered: Final = dict(delivered)
         self._bytes = bytearray(self._end)
+        self._values: dict[str, int] = {}  # what the bytes of each item say
         self._backup: dict[str, int] = {}
         self.reset(tuple(self.items))
 
     def __getitem__(self, name: str) -> int:
-        item = self.items[name]
-        return item.unpack(bytes(self._bytes[item.address : item.address + item.size]))
+        return self._values[name]
 
     def __setitem__(self, name: str, value: int) -> None:
+        if self._values.get(name) == value:
+            return
         item = self.items[name]
-        self._bytes[item.address : item.address + item.size] = item.pack(value)
+        data = item.pack(value)
+        self._bytes[item.address : item.address + item.size] = data
+        self._values[name] = item.unpack(data)
 
     def get(self, name: str, default: int) -> int:
         """Return the value of an item, or the default if this model does not have it."""
@@ -94,7 +98,10 @@ class Memory:
         """Return the bytes from an address on; None beyond the table."""
         if address + length > self._end:
             return None
-        return bytes(self._bytes[self._target(place)] for place in range(address, address + length))
+        end = address + length
+        if all(end <= data or data + count <= address for _, data, count in self._blocks):
+            return bytes(self._bytes[address:end])
+        return bytes(self._bytes[self._target(place)] for place in range(address, end))
 
     def write(
         self,

@@ -115,6 +115,12 @@ class ServoGains:
 
 
 @lru_cache(maxsize=64)
+def _sampled(plant: MotorPlant, step_s: float) -> SampledMotor:
+    """Return the model of the plant, which other gains do not change."""
+    return sample(plant, step_s)
+
+
+@lru_cache(maxsize=64)
 def tables_of(
     plant: MotorPlant, gains: ServoGains, tick_ns: int, current_steps: int, clock_rate: float = 1.0
 ) -> "ServoTables":
@@ -149,12 +155,12 @@ class ServoTables:
         self.current_steps = current_steps
         self._plant = plant
         step_s = tick_ns / (1e9 * current_steps)
-        self._motor = sample(plant, step_s / clock_rate)
+        self._motor = _sampled(plant, step_s / clock_rate)
         self._kp = gains.current_kp_v_a
         self._ki = gains.current_ki_v_a_s * step_s
         self._powers = powers(self._closed_step(), current_steps)
         self._blocked_powers = powers(self._blocked_step(), current_steps)
-        self._coasting = sample(plant, tick_ns / 1e9 / clock_rate).coasting
+        self._coasting = _sampled(plant, tick_ns / 1e9 / clock_rate).coasting
         self._voltage_guard, self._speed_guard = self._moving_guards()
         self.tick: TickTable = self._tick_table(gains, tick_ns / 1e9)
         self.step: StepTable = self._step_table()

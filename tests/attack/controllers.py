@@ -8,24 +8,27 @@ compiled cores must have the same one.
 import hashlib
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
+from itertools import islice
 from random import Random
-from typing import Final, final
+from typing import Any, Final, NamedTuple, final
 
-from motorhil.emulators.can.frame import EFF_FLAG, FD_LENGTHS, RTR_FLAG, data_of, pack, pack_fd
+from motorhil.emulators.can.frame import EFF_FLAG, RTR_FLAG, pack
 from motorhil.emulators.cia401.node import IoNode
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.drive import build as build_drive
 from motorhil.emulators.controller import STUCK, Controller, ControllerContext
 from motorhil.emulators.dryve.drive import build as build_dryve
-from motorhil.emulators.dynamixel.packets import BROADCAST, HEADER, Instruction, packet
+from motorhil.emulators.dynamixel.packets import HEADER, Instruction, packet
 from motorhil.emulators.dynamixel.servo import Servo
 from motorhil.emulators.dynamixel.servo import build as build_servo
+from motorhil.emulators.dynamixel.table import MODELS as SERVOS
 from motorhil.emulators.leadshine_pr.drive import build as build_leadshine
 from motorhil.emulators.media.byte_pipe import BytePipe
 from motorhil.emulators.mit.classical import build as build_mit
+from motorhil.emulators.mit.robstride import RobstrideDrive
 from motorhil.emulators.mit.robstride import build as build_robstride
 from motorhil.emulators.mit.settings import MODELS as MIT_MODELS
 from motorhil.emulators.mit.settings import ROBSTRIDES
@@ -38,47 +41,39 @@ from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.emulators.vesc.drive import build as build_vesc
 from motorhil.harness.replay.device_node import build as build_recorded
+from tests.attack import can_frames, serial_frames
 from tests.attack.campaign import Attack, Attempt, Done
+from tests.attack.can_frames import NODE, Group
+from tests.attack.serial_frames import UNIT
 from tests.properties.fuzz.__main__ import OUT
 from tests.properties.fuzz.frames import Frames, frame, line_of
 from tests.properties.fuzz.target import Reached, endure, episode, shrunk
 from tests.support.checkout import CHECKOUT
 from tests.support.cia402.stranger import LIGHT, OBJECTS
 
-EPISODE: Final = 1_000
-"""Number of inputs to one controller."""
+EPISODE: Final = 4_000
+"""Number of inputs of an attempt."""
+ROUND: Final = 500
+"""Number of inputs after which a controller is restarted, or replaced if it never answered."""
+BATCH: Final = 100
+"""Number of inputs after which a physical input changes."""
+DISTINCT: Final = 400
+"""Number of different groups of inputs of an attempt: making one costs more than sending it."""
 ANSWERS_MAX: Final = 300
 """Frames for one input: a block upload of SDO has 127 segments, a queue of TPDOs and EMCYs more."""
 GOLDEN: Final = CHECKOUT / "traces" / "golden"
 MS: Final = 1_000_000
-NODE: Final = 5
-UNIT: Final = 1
 REPLY_BY_NS: Final = 50 * MS
-_PAUSES_NS: Final = (0, 0, 1, 300_000, 2 * MS, 5 * MS, 20 * MS)
-_FUNCTIONS: Final = (0x03, 0x03, 0x06, 0x06, 0x10, 0x10, 0x17, 0x08, 0x2B, 0x01, 0x04)
-_VALUES: Final = tuple(one.to_bytes(2) for one in (0, 1, 2, 5, 0x10, 0x7FFF, 0x8000, 0xFFFF))
-_MIT_FRAMES: Final = (
-    *(b"\xff" * 7 + bytes((code,)) for code in (0xFC, 0xFD, 0xFE, 0xFB, 0xFF)),
-    *(bytes((NODE, 0, code, one, 0, 0, 0x80, 0x3F)) for code in (0x33, 0x55) for one in (9, 21)),
-    bytes((NODE, 0, 0xCC, 0, 0, 0, 0, 0)),
-    *(bytes.fromhex(f"{i}7000000000C03F") for i in ("05", "06", "0A", "16", "17", "18", "19")),
-)
+RESTART_NS: Final = 1_300 * MS
+"""The longest time that one of these drives needs after power-on."""
+_PAUSES_NS: Final = (0, 0, 0, 0, 1, 100_000, 300_000, 300_000, 1 * MS, 1 * MS, 2 * MS, 10 * MS)
+_NORMAL: Final = (("power", 1.0), ("supply_v", 24.0), ("load_torque_n_m", 0.0))
 _INPUTS: Final = (
-    *(("fault", 0x2310), ("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", 0.0)),
-    *(("supply_v", 24.0), ("supply_v", 5.0), ("power", 0.0), ("power", 1.0), ("encoder", 0.0)),
+    *(("fault", 2.0), ("fault", 10.0), ("fault", 32.0), ("fault", 38.0), ("fault", 0x2310)),
+    *(("alarm", 0x30), ("load_torque_n_m", 3.0), ("load_torque_n_m", -0.2), ("temperature_c", 99)),
+    *(("supply_v", 30.0), ("supply_v", 5.0), ("power", 0.0), ("encoder", 0.0), ("di7", 0.0)),
+    *(("di7", 1.0), ("di8", 1.0), ("input_voltage_v", 3.0), ("input_voltage_v", 12.0)),
 )
-
-_ITEMS: Final = (  # addresses of a servo
-    *(0, 7, 8, 9, 10, 11, 12, 20, 24, 31, 36, 38, 44, 48, 52, 60, 63, 64, 64, 68, 98, 98, 100),
-    *(102, 104, 104, 108, 112, 116, 116, 122, 132, 168, 170, 208, 224, 9999),
-)
-_GATEWAY_OBJECTS: Final = (  # of a dryve: index, sub-index, bytes
-    *((index, 0, 1) for index in (0x1001, 0x6060, 0x6060, 0x6061, 0x6098)),
-    *((index, 0, 2) for index in (0x2014, 0x6040, 0x6040, 0x6040, 0x6040, 0x6041)),
-    *((index, 0, 4) for index in (0x6064, 0x607A, 0x607A, 0x6081, 0x6083, 0x6084, 0x60A8, 0x60FF)),
-    *((index, 1, 4) for index in (0x607B, 0x6092, 0x6099)),
-)
-_TO_ALL: Final = tuple(one for one in Instruction if one >= Instruction.SYNC_READ)
 
 
 @final
@@ -86,11 +81,15 @@ class Bare:
     """A controller alone: its medium sends every frame at once."""
 
     def __init__(self, controller: Controller) -> None:
-        self.controller = controller
         self.now_ns = 0
         self.sent: list[bytes] = []
         self.digest = hashlib.sha256()
-        controller.start(0)
+        self.replace(controller)
+
+    def replace(self, controller: Controller) -> None:
+        """Go on with this controller, which is switched on."""
+        self.controller = controller
+        controller.start(self.now_ns)
         self._drain()
 
     def tell(self, data: bytes) -> None:
@@ -107,20 +106,18 @@ class Bare:
     def run(self, duration_ns: int) -> None:
         """Let time pass, deadline by deadline."""
         end_ns = self.now_ns + duration_ns
-        due_ns = self.controller.next_deadline_ns()
         calls = 0
-        while due_ns is not None and due_ns <= end_ns:
-            calls = 0 if due_ns > self.now_ns else calls + 1
+        while self._due_ns is not None and self._due_ns <= end_ns:
+            calls = 0 if self._due_ns > self.now_ns else calls + 1
             assert calls < STUCK, f"expire at {self.now_ns} ns does not advance its deadline"
-            self.now_ns = max(due_ns, self.now_ns)
+            self.now_ns = self._due_ns
             self.controller.expire(self.now_ns)
             self._drain()
-            due_ns = self.controller.next_deadline_ns()
         self.now_ns = end_ns
 
     def _drain(self) -> None:
-        count = 0
         frames = self.controller.take_output()
+        count = 0
         while frames:
             for one in frames:
                 count += 1
@@ -131,7 +128,7 @@ class Bare:
             frames = self.controller.take_output()
         for level, text in self.controller.take_events():
             self.digest.update(f"{level}{text}".encode())
-        due_ns = self.controller.next_deadline_ns()
+        due_ns = self._due_ns = self.controller.next_deadline_ns()
         assert due_ns is None or due_ns >= self.now_ns, (
             f"the deadline {due_ns} ns is before now, {self.now_ns} ns"
         )
@@ -194,242 +191,78 @@ def attack_node(build: Callable[[], Controller], seed: str, own: int = NODE) -> 
     return Done(EPISODE, bare.digest.digest(), reached)
 
 
-_SUBFRAMES: Final = tuple(
-    map(
-        bytes.fromhex,
-        (
-            *("01000a", "010000", "01000c", "01000f", "010009", "01000d", "0e20000000400000803f"),
-            *("0d20", "0d270000c07f", "0f28000040400000004000000000", "04042000", "1100", "1f01"),
-            *(
-                "130d",
-                "1d38",
-                "1a8102",
-                "14201e",
-                "18ff7f20",
-                "0db102",
-                "01b30201",
-                "09d402",
-                "0d2900000000",
-            ),
-            *("400107642073746f700a", "420130", "30", "50", "43010000", "0e40000080bf0000803f"),
-        ),
-    )
-)
+class Kind(NamedTuple):
+    """A kind of drives.
+
+    Attributes:
+        build: return a new one, of a model that the dice choose.
+        groups: yield inputs for it.
+        ask: return questions, and how the answer to one of them begins.
+    """
+
+    build: Callable[[Random], Controller]
+    groups: Callable[[Random], Iterator[Group]]
+    ask: Callable[[Controller], tuple[Group, bytes]]
 
 
-def attack_moteus(seed: str) -> Done:
-    """Send subframes, complete and damaged, to a moteus; then stop it and read its mode."""
+def attack_drive(kind: Kind, seed: str) -> Done:
+    """Send inputs to a drive while its physical inputs change; restart it, and ask it."""
     dice = Random(seed)
-    bare = Bare(build_moteus({"node_id": NODE, "plant": LIGHT}, _context()))
-    for _ in range(EPISODE):
-        bare.run(dice.choice(_PAUSES_NS))
-        if dice.random() < 0.01:
-            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 38.0))))
-        data = b"".join(dice.choice(_SUBFRAMES) for _ in range(dice.randrange(6)))
-        data = (damaged(dice, data) if data else dice.randbytes(5))[: FD_LENGTHS[-1]]
-        length = min(one for one in FD_LENGTHS if one >= len(data))
-        can_id = dice.choice((0x8000, 0x8000, 0x0000, 0x0300)) | dice.choice((NODE, NODE, 0x7F, 1))
-        can_id |= EFF_FLAG if can_id > 0x7FF else 0
-        is_classical = length <= 8 and dice.random() < 0.5
-        bare.tell(pack(can_id, data) if is_classical else pack_fd(can_id, data.ljust(length, b"P")))
-    reached = Counter(answers=len(bare.sent))
-    bare.stimulate("power", 1.0)
-    bare.run(1_000 * MS)
-    bare.tell(pack(NODE, bytes.fromhex("010000")))
-    bare.sent.clear()
-    bare.tell(pack(EFF_FLAG | 0x8000 | NODE, bytes.fromhex("1100")))
-    assert [data_of(one) for one in bare.sent] == [bytes.fromhex("210000")]
-    return Done(EPISODE, bare.digest.digest(), reached)
-
-
-def attack_mit(build: Callable[..., Controller], models: Sequence[str], seed: str) -> Done:
-    """Send commands, special codes and parameters to a drive; then stop it and read its state."""
-    dice = Random(seed)
-    model = dice.choice(models)
-    is_long = model in ROBSTRIDES
-    table = {"node_id": NODE, "model": model, "plant": LIGHT, "watchdog_s": 0.01}
-    bare = Bare(build(table, _context()))
-    kinds = (1, 1, 1, 3, 3, 4, 6, 0, 17, 18, 18, 2, 21)
-    for _ in range(EPISODE):
-        bare.run(dice.choice(_PAUSES_NS))
-        if dice.random() < 0.01:
-            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 2.0), ("fault", 10.0))))
-        data = damaged(dice, dice.choice((dice.randbytes(8), dice.choice(_MIT_FRAMES))))[:8]
-        can_id = dice.choice((NODE, NODE, NODE, 0x7FF, 0))
-        if is_long and dice.random() < 0.95:
-            can_id = EFF_FLAG | dice.choice(kinds) << 24 | dice.randrange(1 << 16) << 8 | can_id & 7
-        bare.tell(pack(can_id, data))
-    reached = Counter(answers=len(bare.sent))
-    bare.stimulate("power", 0.0)
-    bare.stimulate("power", 1.0)
-    bare.run(3_000 * MS)
-    bare.sent.clear()
-    number = getattr(bare.controller, "node_id", NODE)  # a frame may have changed it
-    bare.tell(pack(EFF_FLAG | 0x400AA00 | number if is_long else NODE, _MIT_FRAMES[1]))
-    assert len(bare.sent) == 1, f"{model}: {len(bare.sent)} answers"
-    return Done(EPISODE, bare.digest.digest(), reached)
-
-
-def pdus(dice: Random, addresses: list[int]) -> Iterator[bytes]:
-    """Yield requests around the addresses of a drive, valid ones and invalid ones."""
-    while True:
-        function = dice.choice(_FUNCTIONS) if dice.random() < 0.97 else dice.randrange(256)
-        address = (dice.choice(addresses) + dice.choice((0, 0, 0, 1))) & 0xFFFF
-        count = dice.choice((1, 1, 2, 4, 125))
-        values = b"".join(_VALUES[byte & 7] for byte in dice.randbytes(count))
-        head = bytes((function,)) + address.to_bytes(2, "big")
-        if function == 0x06:
-            yield head + values[:2]
-        elif function == 0x10:
-            yield head + count.to_bytes(2, "big") + bytes((2 * count & 0xFF,)) + values
-        elif function == 0x17:
-            writes = count.to_bytes(2, "big") + bytes((2 * count & 0xFF,)) + values
-            yield head + b"\0\1" + address.to_bytes(2, "big") + writes
-        elif function == 0x2B:
-            yield bytes((function, 0x0E, dice.randrange(6), dice.randrange(8)))
-        else:
-            yield head + count.to_bytes(2, "big") + dice.randbytes(dice.choice((0, 0, 0, 3)))
-
-
-def damaged(dice: Random, data: bytes) -> bytes:
-    """Return data cut, extended, with a flipped bit, or quite different; mostly unchanged."""
-    chance = dice.random()
-    if chance < 0.02:
-        return data[: dice.randrange(len(data))]
-    if chance < 0.04:
-        return data + dice.randbytes(9)
-    if chance < 0.06:
-        place = dice.randrange(8 * len(data))
-        turned = int.from_bytes(data, "little") ^ 1 << place
-        return turned.to_bytes(len(data), "little")
-    if chance < 0.07:
-        return dice.randbytes(dice.randrange(300))
-    return data
-
-
-def attack_unit(build: Callable[[], Controller], addresses: list[int], seed: str) -> Done:
-    """Send serial frames to a unit, then read a register."""
-    dice = Random(seed)
-    bare = Bare(build())
-    bare.run(600 * MS)
-    requests = pdus(dice, addresses)
-    for _ in range(EPISODE):
-        bare.run(dice.choice(_PAUSES_NS))
-        if dice.random() < 0.01:
-            bare.stimulate(*dice.choice(_INPUTS))
-        unit = bytes((dice.choice((UNIT, UNIT, UNIT, UNIT, 0, 2)),))
-        bare.tell(damaged(dice, with_crc(unit + next(requests)[:253])))
-    reached = Counter(answers=len(bare.sent))
-    reached.update("refusals" for one in bare.sent if one[1] & 0x80)
-    assert all(with_crc(one[:-2]) == one for one in bare.sent), "an answer has a wrong CRC"
-    bare.stimulate("power", 1.0)
-    bare.run(2_000 * MS)
-    bare.sent.clear()
-    bare.tell(with_crc(bytes((UNIT, 3)) + addresses[0].to_bytes(2, "big") + b"\0\1"))
-    bare.run(REPLY_BY_NS)
-    assert len(bare.sent) == 1, f"a read has {len(bare.sent)} answers"
-    return Done(EPISODE, bare.digest.digest(), reached)
-
-
-def instructions(dice: Random) -> Iterator[bytes]:
-    """Yield packets for a servo and for others, valid ones and invalid ones, and statuses."""
-    while True:
-        address = dice.choice(_ITEMS) + dice.choice((0, 0, 0, 1))
-        size = dice.choice((1, 1, 2, 4, 4, 4, 8, 80, 200))
-        value = dice.choice((*range(16), 255, 0x7FFF, 1 << 31, (1 << 32) - 1))
-        data = value.to_bytes(4, "little") * 64
-        place, length = address.to_bytes(2, "little"), size.to_bytes(2, "little")
-        units = bytes(dice.choice((UNIT, 2, 3, dice.randrange(256))) for _ in range(3))
-        bodies = {
-            Instruction.READ: place + length,
-            Instruction.WRITE: place + data[:size],
-            Instruction.REG_WRITE: place + data[:size],
-            Instruction.FACTORY_RESET: bytes((dice.choice((1, 2, 255, 3)),)),
-            Instruction.CLEAR: b"\x01DXL\x22",
-            Instruction.BACKUP: bytes((dice.choice((1, 2)),)) + b"CTRL",
-            Instruction.SYNC_READ: place + length + units,
-            Instruction.FAST_SYNC_READ: place + length + units,
-            Instruction.SYNC_WRITE: place + b"\4\0" + units[:1] + data[:4] + units[1:2] + data[:4],
-            Instruction.BULK_READ: b"".join(bytes((one,)) + place + length for one in units),
-            Instruction.FAST_BULK_READ: b"".join(bytes((one,)) + place + length for one in units),
-            Instruction.BULK_WRITE: units[:1] + place + length + data[:size],
-        }
-        code = dice.choice(tuple(Instruction)) if dice.random() < 0.9 else dice.choice((0x55, 0x42))
-        unit = BROADCAST if code in _TO_ALL else dice.choice((UNIT, UNIT, UNIT, BROADCAST, 2))
-        yield packet(unit, code, bodies.get(code, b"" if dice.random() < 0.9 else data[:size]))
-
-
-def attack_servo(seed: str) -> Done:
-    """Send bytes of Dynamixel's protocol, split anywhere, to a servo; then ping it."""
-    dice = Random(seed)
-    servo = build_servo({"unit": UNIT, "boot_up_s": 0.01}, _context())
-    bare = Bare(servo)
+    bare = Bare(kind.build(dice))
     bare.run(20 * MS)
-    packets = instructions(dice)
-    for _ in range(EPISODE):
-        bare.run(dice.choice(_PAUSES_NS))
-        if dice.random() < 0.01:
-            bare.stimulate(*dice.choice((*_INPUTS, ("fault", 32), ("temperature_c", 99))))
-        data = damaged(dice, next(packets))
-        cut = dice.randrange(len(data) + 1) if dice.random() < 0.1 else len(data)
-        for part in (data[:cut], data[cut:]):
-            if part:
-                bare.tell(part)
-    reached = Counter(answers=len(bare.sent))
-    reached.update("refusals" for one in bare.sent if one[:4] == HEADER and one[8] & 0x7F)
-    bare.stimulate("power", 0.0)
-    bare.stimulate("power", 1.0)
-    bare.run(2_000 * MS)
+    groups = list(islice(kind.groups(dice), DISTINCT))
+    inputs = answers = 0
+    while inputs < EPISODE:
+        until = inputs + ROUND
+        while inputs < until:
+            inputs += _batch(bare, dice, groups)
+        answers += len(bare.sent)
+        is_lost = not bare.sent  # it has another address, or none
+        _restart(bare)
+        bare.run(20 * MS)
+        if is_lost:
+            bare.replace(kind.build(dice))
+            bare.run(20 * MS)
+        bare.sent.clear()
+    _restart(bare)
+    bare.run(RESTART_NS)
     bare.sent.clear()
-    assert isinstance(servo, Servo)
-    bare.tell(packet(servo.memory["id"], Instruction.PING))
+    questions, beginning = kind.ask(bare.controller)
+    for question in questions:
+        bare.tell(question)
     bare.run(REPLY_BY_NS)
-    assert len(bare.sent) == 1, f"a ping has {len(bare.sent)} answers"
-    return Done(EPISODE, bare.digest.digest(), reached)
+    count = sum(one.startswith(beginning) for one in bare.sent)
+    assert 1 <= count <= len(questions), f"{count} answers to {len(questions)} questions"
+    return Done(inputs, bare.digest.digest(), Counter(answers=answers))
 
 
-def telegrams(dice: Random) -> Iterator[bytes]:
-    """Yield PDUs for a dryve: objects read and written, valid ones and invalid ones."""
-    while True:
-        index, subindex, size = dice.choice(_GATEWAY_OBJECTS)
-        if dice.random() < 0.1:
-            index, subindex, size = index + 1, dice.randrange(4), dice.randrange(6)
-        value = dice.choice((*range(12), 0x0F, 0x1F, 0x3F, 0x80, 0x10F, 5400, 1 << 31))
-        writes = 2 if dice.random() < 0.02 else dice.choice((0, 1, 1))
-        data = value.to_bytes(8, "little")[:size] if writes else b""
-        place = index.to_bytes(2, "big") + bytes((subindex, 0, 0, 0, size))
-        yield bytes((0x2B, 0x0D, writes, 0, 0)) + place + data
+def _batch(bare: Bare, dice: Random, groups: list[Group]) -> int:
+    """Change a physical input or set all to normal, and send inputs; return their number."""
+    changes = _NORMAL if dice.random() < 0.7 else (dice.choice(_INPUTS),)
+    for name, value in changes:
+        bare.stimulate(name, value)
+    chosen = dice.choices(groups, k=BATCH)
+    count = 0
+    for pause_ns, group in zip(dice.choices(_PAUSES_NS, k=BATCH), chosen, strict=True):
+        if pause_ns:
+            bare.run(pause_ns)
+        for data in group:
+            bare.tell(data)
+        count += len(group)
+    return count
 
 
-def attack_dryve(seed: str) -> Done:
-    """Send telegrams to a dryve, one before the answer to another; then read its statusword."""
-    dice = Random(seed)
-    bare = Bare(build_dryve({"unit": UNIT, "timing": {"boot_up_s": 0.01}}, _context()))
-    bare.run(20 * MS)
-    requests = telegrams(dice)
-    for _ in range(EPISODE):
-        bare.run(dice.choice(_PAUSES_NS))
-        if dice.random() < 0.02:
-            bare.stimulate(*dice.choice((*_INPUTS, ("di7", 0.0), ("di7", 1.0), ("di8", 1.0))))
-        bare.tell(with_crc(bytes((UNIT,)) + (damaged(dice, next(requests)) or b"\x2b")))
-    reached = Counter(answers=len(bare.sent))
-    reached.update("refusals" for one in bare.sent if one[1] & 0x80)
-    assert all(with_crc(one[:-2]) == one for one in bare.sent), "an answer has a wrong CRC"
-    bare.run(2_000 * MS)
-    bare.sent.clear()
-    bare.tell(with_crc(bytes.fromhex("01 2B 0D 00 00 00 60 41 00 00 00 00 02")))
-    bare.run(REPLY_BY_NS)
-    assert len(bare.sent) == 1, f"a read has {len(bare.sent)} answers"
-    assert bare.sent[0][:13].hex() == "012b0d00000060410000000002", "it is not the statusword"
-    return Done(EPISODE, bare.digest.digest(), reached)
+def _restart(bare: Bare) -> None:
+    for name, value in (("power", 0.0), *_NORMAL):
+        bare.stimulate(name, value)
 
 
-def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: str) -> Done:
+def attack_gateway(build: Callable[[Random], Controller], addresses: list[int], seed: str) -> Done:
     """Send bytes of Modbus/TCP, split anywhere, to a unit; then read one of its registers."""
     dice = Random(seed)
     world = World(EventQueue())
     world.add_tcp(BytePipe("line"), None)
-    world.add_controller("it", build(), "line")
+    world.add_controller("it", build(dice), "line")
     digest = hashlib.sha256()
     reached: Counter[str] = Counter()
     is_closed = True
@@ -444,18 +277,19 @@ def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: 
         world.queue.run_until(world.queue.now_ns + duration_ns)
 
     run(600 * MS)
-    requests = pdus(dice, addresses)
+    requests = list(islice(serial_frames.tcp(dice, addresses), DISTINCT))
     waiting = b""
-    for number in range(EPISODE):
+    pauses = dice.choices(_PAUSES_NS, k=EPISODE)
+    for request, pause_ns in zip(dice.choices(requests, k=EPISODE), pauses, strict=True):
         if is_closed:
             is_closed, waiting = False, b""
             host = world.add_line_host("line", "host", hear)
-        waiting += damaged(dice, adu(number, dice.choice((UNIT, UNIT, 0, 2)), next(requests)))
+        waiting += request
         size = len(waiting) if dice.random() < 0.8 else dice.randrange(len(waiting) + 1)
         if size:
             host.send(waiting[:size])
         waiting = waiting[size:]
-        run(dice.choice(_PAUSES_NS))
+        run(pause_ns)
     run(3_000 * MS)
     heard: list[bytes] = []
     host = world.add_line_host("line", "last", lambda data, now_ns, transmitted: heard.append(data))
@@ -466,47 +300,70 @@ def attack_gateway(build: Callable[[], Controller], addresses: list[int], seed: 
     return Done(EPISODE, digest.digest(), reached)
 
 
-Ask = Callable[[int], tuple[bytes, bytes]]
-"""Returns (question, answer) by the first identifier of a drive, which commands may change."""
+# ---------------------------------------------------------------------------- kinds of drives
 
 
-def attack_identifiers(build: Callable[[], Controller], ask: Ask, seed: str) -> Done:
-    """Send any data under the identifiers of a drive; then restart it, and ask it.
-
-    It is asked twice: a drive that was interrupted does not obey the first request.
-    """
-    dice = Random(seed)
-    bare = Bare(build())
-    for _ in range(EPISODE):
-        bare.run(dice.choice(_PAUSES_NS))
-        if dice.random() < 0.01:
-            bare.stimulate(*dice.choice(_INPUTS))
-        if dice.random() < 0.1:
-            bare.stimulate("power", 1.0)  # a command may switch it off
-        size = dice.choice((8, 8, 6, 5, 4, 4, *range(9)))
-        data = bytes(dice.choice((0, 0, 1, 0xFF, dice.randrange(256))) for _ in range(size))
-        bare.tell(frame(dice.choice(list(bare.controller.identifiers() or (0,))), data))
-    reached = Counter(answers=len(bare.sent))
-    for power in (0.0, 1.0):
-        bare.stimulate("power", power)
-    bare.run(2_000 * MS)
-    bare.sent.clear()
-    question, answer = ask((bare.controller.identifiers() or (0,))[0])
-    bare.tell(question)
-    bare.tell(question)
-    bare.run(REPLY_BY_NS)
-    assert answer in bare.sent, "the question has no answer"
-    return Done(EPISODE, bare.digest.digest(), reached)
+def _of(build: Callable[..., Controller], **table: Any) -> Callable[[Random], Controller]:
+    return lambda dice: build(table, _context())
 
 
-def _ask_vesc(first: int) -> tuple[bytes, bytes]:
+def _of_models(
+    build: Callable[..., Controller], models: Mapping[str, object], **table: Any
+) -> Callable[[Random], Controller]:
+    names = tuple(models)
+    return lambda dice: build({**table, "model": dice.choice(names)}, _context())
+
+
+def _ask_moteus(drive: Controller) -> tuple[Group, bytes]:
+    """Return a read of the mode, and mode 0."""
+    question = pack(EFF_FLAG | 0x8000 | NODE, bytes.fromhex("1100"))
+    return (question,), pack(NODE << 8, bytes.fromhex("210000"))
+
+
+def _ask_mit(drive: Controller) -> tuple[Group, bytes]:
+    return (pack(NODE, b"\xff" * 7 + b"\xfd"),), b""
+
+
+def _ask_robstride(drive: Controller) -> tuple[Group, bytes]:
+    """Return a stop for the number that the drive has now."""
+    assert isinstance(drive, RobstrideDrive)
+    return (pack(EFF_FLAG | 0x400_AA00 | drive.node_id, bytes(8)),), b""
+
+
+def _ask_servo(drive: Controller) -> tuple[Group, bytes]:
+    """Return a ping to the id that the servo has now."""
+    assert isinstance(drive, Servo)
+    unit = drive.memory["id"]
+    return (packet(unit, Instruction.PING),), HEADER + bytes((unit, 7, 0, 0x55))
+
+
+def _ask_dryve(drive: Controller) -> tuple[Group, bytes]:
+    """Return a read of the statusword."""
+    question = with_crc(bytes.fromhex("01 2B 0D 00 00 00 60 41 00 00 00 00 02"))
+    return (question,), bytes.fromhex("01 2B 0D 00 00 00 60 41 00 00 00 00 02")
+
+
+def _ask_vesc(drive: Controller) -> tuple[Group, bytes]:
     """Return PING from 253, and PONG."""
-    return frame(first & ~0xFF00 | 0x1100, b"\xfd"), frame(0x8000_12FD, bytes((first & 0xFF, 0)))
+    question = frame(EFF_FLAG | 0x1100 | NODE, b"\xfd")
+    return (question,), frame(EFF_FLAG | 0x12FD, bytes((NODE, 0)))
 
 
-def _ask_rmd(first: int) -> tuple[bytes, bytes]:
-    """Return a request for the phase currents (9Dh), and an answer without any, at 25 degrees."""
-    return frame(first, b"\x9d" + bytes(7)), frame(first + 0x100, b"\x9d\x19" + bytes(6))
+def _ask_rmd(drive: Controller) -> tuple[Group, bytes]:
+    """Return a request for the phase currents twice, and an answer without any, at 25 degrees.
+
+    A drive that was interrupted does not obey the first request.
+    """
+    first = (drive.identifiers() or (0,))[0]
+    question = frame(first, b"\x9d" + bytes(7))
+    return (question, question), frame(first + 0x100, b"\x9d\x19" + bytes(6))
+
+
+def _unit(build: Callable[[Random], Controller], addresses: list[int]) -> Kind:
+    """Return a unit on a serial line, which is asked for its first register."""
+    question = with_crc(bytes((UNIT, 3)) + addresses[0].to_bytes(2, "big") + b"\0\1")
+    groups = partial(serial_frames.rtu, addresses=addresses)
+    return Kind(build, groups, lambda drive: ((question,), bytes((UNIT,))))
 
 
 def _addresses(builder: object) -> list[int]:
@@ -518,23 +375,35 @@ def _kinds() -> dict[str, Callable[[str], Done]]:
         "cia402": partial(attack_node, _drive),
         "cia401": partial(attack_node, _io_node),
         "recorded": partial(attack_node, partial(_recorded, "cia402.mcap", node_id=1), own=1),
-        "moteus": attack_moteus,
     }
-    vesc = partial(build_vesc, {"node_id": NODE, "status_1": 63}, _context())
-    kinds["vesc"] = partial(attack_identifiers, vesc, _ask_vesc)
-    rmd = partial(build_rmd, {"node_id": NODE, "interruption_ms": 50}, _context())
-    kinds["rmd"] = partial(attack_identifiers, rmd, _ask_rmd)
+    on_can: Final = {"node_id": NODE, "plant": LIGHT}
+    quick: Final = {"boot_up_s": 0.01, "watchdog_s": 0.01}
+    moteus = _of(build_moteus, **on_can)
+    vesc = _of(build_vesc, **on_can, status_1=63, status_rate_1_hz=20)
+    rmd = _of(build_rmd, **on_can, interruption_ms=50, restart_s=0.01)
+    mit = _of_models(build_mit, MIT_MODELS, **on_can, **quick)
+    robstride = _of_models(build_robstride, ROBSTRIDES, **on_can, **quick)
+    servo = _of_models(build_servo, SERVOS, unit=UNIT, boot_up_s=0.01, plant=LIGHT)
+    dryve = _of(build_dryve, unit=UNIT, timing={"boot_up_s": 0.01}, plant=LIGHT)
+    drives = {
+        "moteus": Kind(moteus, can_frames.moteus, _ask_moteus),
+        "vesc": Kind(vesc, can_frames.vesc, _ask_vesc),
+        "rmd": Kind(rmd, can_frames.rmd, _ask_rmd),
+        "mit": Kind(mit, can_frames.mit, _ask_mit),
+        "robstride": Kind(robstride, can_frames.robstride, _ask_robstride),
+        "dynamixel": Kind(servo, serial_frames.dynamixel, _ask_servo),
+        "dryve": Kind(dryve, serial_frames.telegrams, _ask_dryve),
+    }
+    timing: Final = {"boot_up_s": 0.01, "reply_s": 0.0001}
     for name, build in (("leadshine_pr", build_leadshine), ("oriental_az", build_oriental)):
-        made = partial(build, {"unit": UNIT}, _context())
-        kinds[name] = partial(attack_unit, made, _addresses(build))
+        made = _of(build, unit=UNIT, plant=LIGHT, timing=timing)
+        drives[name] = _unit(made, _addresses(build))
         kinds[f"{name} on TCP"] = partial(attack_gateway, made, _addresses(build))
-    kinds["dynamixel"] = attack_servo
-    kinds["dryve"] = attack_dryve
-    unit = partial(_recorded, "leadshine.mcap", unit=UNIT)
-    kinds["recorded unit"] = partial(attack_unit, unit, _addresses(build_leadshine))
-    kinds["mit"] = partial(attack_mit, build_mit, tuple(MIT_MODELS))
-    kinds["robstride"] = partial(attack_mit, build_robstride, tuple(ROBSTRIDES))
-    return kinds
+    recorded = _unit(
+        lambda dice: _recorded("leadshine.mcap", unit=UNIT), _addresses(build_leadshine)
+    )
+    drives["recorded unit"] = recorded
+    return kinds | {name: partial(attack_drive, kind) for name, kind in drives.items()}
 
 
 KINDS: Final = _kinds()

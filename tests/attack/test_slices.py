@@ -25,6 +25,11 @@ UNCOMPILED = pytest.mark.skipif(
 )
 
 
+@pytest.fixture(autouse=True)
+def _short_episodes(monkeypatch):
+    monkeypatch.setattr(controllers, "EPISODE", 1_000)
+
+
 def campaign(name, first=0, count=1):
     """Return the results of a few attempts; no finding is right."""
     done = Campaign(program.attack_named(name), SEED)
