@@ -248,6 +248,8 @@ class ModbusDrive:
         self.is_powered = True
         self._ready_ns = now_ns + self.settings.boot_up_ns
         self.bank.set_defaults()
+        if self.server.diagnostics is not None:
+            self.server.diagnostics.power_on()
         self.power_on()
 
     def receive(self, data: bytes, now_ns: int) -> None:

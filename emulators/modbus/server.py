@@ -73,6 +73,10 @@ class Diagnostics:
     """
 
     def __init__(self) -> None:
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Begin anew with power."""
         self.restarts_counted: int = 0
         self.begin()
 

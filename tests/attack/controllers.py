@@ -290,6 +290,8 @@ def attack_gateway(build: Callable[[Random], Controller], addresses: list[int], 
             host.send(waiting[:size])
         waiting = waiting[size:]
         run(pause_ns)
+    for power in (0.0, 1.0):  # a request may have made it silent
+        world.stimulate("it", "power", power)
     run(3_000 * MS)
     heard: list[bytes] = []
     host = world.add_line_host("line", "last", lambda data, now_ns, transmitted: heard.append(data))

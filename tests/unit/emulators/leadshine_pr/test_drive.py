@@ -294,6 +294,19 @@ def test_saved_parameters_survive_power_cycle(bench):
     assert bench.read(0x0001) == 10_000
 
 
+def test_power_up_ends_listen_only_and_clears_counters(bench):
+    """Source: MODBUS Application Protocol V1.1b3, 6.8.1, sub-functions 04 and 11."""
+    with pytest.raises(ValueError, match="not enough values"):
+        bench.ask("08 0004 0000")
+    with pytest.raises(ValueError, match="not enough values"):
+        bench.read(STATUS)
+    bench.stimulate("power", 0)
+    bench.stimulate("power", 1)
+    bench.run_ms(600)
+    bench.read(STATUS)
+    assert bench.ask("08 000B 0000") == bytes.fromhex("08 000B 0002")
+
+
 def test_unpowered_drive_is_silent(bench):
     bench.stimulate("power", 0)
     with pytest.raises(ValueError, match="not enough values"):
