@@ -122,7 +122,10 @@ def _expect_barred(drive: Drive, pace: Pace, sign: int, mode: Mode, what: str) -
 
 @drive_clause("LSW-02", Level.L2, source="CiA 402-2, 607Dh: limits of the position actual value")
 def software_limits_in_velocity_modes(bench: DriveBench) -> None:
-    """In pv the motor does not run beyond 607Dh: it is stopped with bit 11 = 1, or has a fault."""
+    """In pv the motor does not run beyond 607Dh: it is stopped with bit 11 = 1, or has a fault.
+
+    That holds also for a limit that is written in motion, if the drive takes it.
+    """
     drive = bench.drive
     drive.require_mode(Mode.PV)
     drive.require(od.LIMIT_MIN, od.LIMIT_MAX)
@@ -155,6 +158,12 @@ def software_limits_in_velocity_modes(bench: DriveBench) -> None:
     drive.await_velocity(pace.velocity, 3.0 * pace.ramp_s)
     inside = drive.until(lambda word: not word & od.INTERNAL_LIMIT, pace.ramp_s)
     drive.expect(inside is not None, "back within 607Dh", "bit 11 = 0", "1")
+    if drive.offer_value(od.LIMIT_MAX, start + offset) == 0:
+        what = f"607Dh:2 = {start + offset}, written in motion"
+        drive.braked(pace.velocity, 6.0 * pace.ramp_s + 2.0, what)
+        place, expected = drive.read(od.POSITION), f"rest at {start} to {start + most}"
+        is_kept = start - drive.window() <= place <= start + most
+        drive.expect(is_kept, what, expected, f"{place}", "607Dh has its effect later")
 
 
 def _latched(drive: Drive, value: int, events: int, place: int) -> tuple[int, int]:
