@@ -487,6 +487,36 @@ def option_3_is_a_ramp(patch):
     _quick_stop_as(patch, {3: 2})
 
 
+@mutant("STOP-05")
+def servo_stays_weak_after_a_hard_stop(patch):
+    """The gains of a quick stop with 605Ah = 4 or 8 stay for good."""
+
+    def make(good):
+        def end(self):
+            self._is_shorted = False
+            good(self)
+
+        return end
+
+    _wrap(patch, Axis, "_end_braking", make)
+
+
+@mutant("STOP-11")
+def it_stops_before_it_goes_on(patch):
+    """Enabled again while it slows down by 605Ch, the motor comes to rest first."""
+
+    def make(good):
+        def write(self, word, now_ns):
+            if self._at_rest == 5:
+                self.fsa.controlword = word
+            else:
+                good(self, word, now_ns)
+
+        return write
+
+    _wrap(patch, PowerDrive, "_write_controlword", make)
+
+
 @mutant("STOP-06")
 def shutdown_never_ramps(patch):
     """605Bh = 1 has the effect of 0."""
@@ -651,6 +681,12 @@ def software_limits_hold_in_pp_alone(patch):
     patch.setattr(limit_switches, "_FENCED_MODES", ())
 
 
+@mutant("LSW-02")
+def software_limits_hold_from_the_next_mode_on(patch):
+    """607Dh has no effect when it is written in pv."""
+    _always(patch, limit_switches.LimitGuard, "written", None)
+
+
 @mutant("TP-01")
 def falling_edges_are_rising_ones(patch):
     """Touch probes latch falling edges at rising ones."""
@@ -778,6 +814,15 @@ def mode_begins_without_its_halt(patch):
 def torque_limits_are_swapped(patch):
     """60E0h limits negative torques, and 60E1h positive ones."""
     _wrap(patch, TorqueObjects, "limits_a", lambda good: lambda s: good(s)[::-1])
+
+
+@mutant("TQ-06")
+def torque_limit_of_0_is_none(patch):
+    """60E0h = 0 and 60E1h = 0 are taken for no limit."""
+
+    _wrap(
+        patch, TorqueObjects, "limits_a", lambda good: lambda s: tuple(x or 99.0 for x in good(s))
+    )
 
 
 @mutant("TQ-05")
@@ -919,6 +964,12 @@ def velocity_limit_is_ignored_in_csp(patch):
         )
 
     _wrap(patch, Axis, "follow", make)
+
+
+@mutant("CSP-07")
+def csp_never_turns_round(patch):
+    """With 607Bh, targets of csp are approached in positive direction only."""
+    patch.setattr(cyclic, "NEAREST", 2)
 
 
 @mutant("CSP-06")
