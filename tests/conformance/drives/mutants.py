@@ -29,7 +29,7 @@ from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
-from motorhil.emulators.firmware import flags
+from motorhil.emulators.firmware import flags, profile
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
 from tests.conformance.drives.rigs import DRIVES
@@ -685,6 +685,42 @@ def software_limits_hold_in_pp_alone(patch):
 def software_limits_hold_from_the_next_mode_on(patch):
     """607Dh has no effect when it is written in pv."""
     _always(patch, limit_switches.LimitGuard, "written", None)
+
+
+@mutant("LIM-02")
+def a_left_mode_stays_limited(patch):
+    """Bit 11 is 1 in pp until the first set-point."""
+
+    def make(good):
+        def leave(self):
+            good(self)
+            self.limited = True
+
+        return leave
+
+    _wrap(patch, ProfilePosition, "leave", make)
+
+
+@mutant("HOME-10")
+def hm_lets_the_motor_turn(patch):
+    """hm leaves a motor in motion as it is."""
+    _always(patch, homing.Homing, "enter", None)
+
+
+@mutant("PP-11")
+def a_slow_move_has_no_end(patch):
+    """The last ramp of a move is left out if it is slow."""
+
+    def make(good):
+        def move(*values):
+            pieces = good(*values)
+            return (
+                pieces[:-2] + pieces[-1:] if max(abs(one[3]) for one in pieces) <= 1.0 else pieces
+            )
+
+        return move
+
+    patch.setattr(profile, "move", make(profile.move))
 
 
 @mutant("TP-01")

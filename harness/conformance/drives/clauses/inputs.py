@@ -3,7 +3,7 @@
 from itertools import pairwise
 from typing import Final
 
-from motorhil.harness.conformance.clause import Level
+from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.clauses.homing import scale
@@ -170,6 +170,22 @@ def _latched(drive: Drive, value: int, events: int, place: int) -> tuple[int, in
     """Return a latched position and its count of events; `place` is 0 for rising edges."""
     position = drive.read(Entry(value + place, 0, "i", "touch probe position value"))
     return position, drive.read(Entry(events + place, 0, "H", "touch probe edge counter"))
+
+
+@drive_clause("LIM-02", Level.L2, source="CiA 402-2, statusword bit 11: internal limit active")
+def no_limit_is_active(bench: DriveBench) -> None:
+    """Away from all limits, bit 11 is 0 at rest in each mode, also when it is selected again."""
+    drive = bench.drive
+    modes = [one for one in (Mode.PP, Mode.PV, Mode.TQ, Mode.HM) if drive.has_mode(one)]
+    if not modes:
+        raise NotApplicable("6502h claims none of pp, pv, tq and hm")
+    if Mode.PV in modes:
+        drive.write(od.TARGET_VELOCITY, 0)
+    for mode in modes + modes:
+        drive.enable(mode)
+        word = drive.statusword()
+        drive.expect(not word & od.INTERNAL_LIMIT, f"{mode} at rest", "bit 11 = 0", f"{word:04X}h")
+        drive.command(od.DISABLE_VOLTAGE)
 
 
 @drive_clause("TP-01", Level.L1, source=_PROBE)
