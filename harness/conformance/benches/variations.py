@@ -82,6 +82,11 @@ _OF_THE_DRIVE: list[Change] = [
     ("velocity_" + _UNIT.format(""), ""),
     ("acceleration_" + _UNIT.format("2"), ""),
 ]
+_UNITS_OF_SPEED: list[Change] = [
+    *of_drive("units = { velocity_unit_inc_s = 2.0, acceleration_unit_inc_s2 = 4.0 }"),
+    ("velocity_" + _UNIT.format(""), "velocity_unit_rad_s = 9.519977738150889e-05\n"),
+    ("acceleration_" + _UNIT.format("2"), "acceleration_unit_rad_s2 = 1.9039955476301778e-04\n"),
+]
 _NO_IDENTIFIERS = ", ".join(f'"{index}h:1" = 0x80000000' for index in ("1400", "1401", "1800"))
 _RATE_AND_LEFT: Final = "bitrate_bit_s = 1_000_000\n\n[controller.left]"
 _MESSAGES: Final = "".join(
@@ -110,6 +115,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     "halt by the quick stop ramp": of_drive('objects = { "605Dh" = 2 }'),
     "torque limit in the drive": of_drive('objects = { "6072h" = 300 }'),
     "units of the drive": _OF_THE_DRIVE,
+    "two units of speed": _UNITS_OF_SPEED,
     "PDOs without identifiers": of_drive(f"objects = {{ {_NO_IDENTIFIERS} }}"),
     "no csp": without_modes(0x2D),
     "no tq": without_modes(0xA5),

@@ -460,6 +460,10 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
             found <= 1.1 * slowly,
             f"{group[1].name}: limited to {slowly:g} {unit}/s, and {found:g} {unit}/s fast",
         )
+    told = group.sync_quality().path
+    move(bench, group[0], 0.3 * way)
+    after = group.sync_quality().path
+    expect(after == told, f"one member moved alone later: the path was {told}, and is {after}")
 
 
 def _expect_line(

@@ -28,6 +28,7 @@ from motorhil.motorapi import (
     DerivativeLimits,
     Motor,
     MotorBusyError,
+    MotorError,
     MotorState,
     PeerError,
     StateError,
@@ -38,6 +39,10 @@ _BACK_S: Final = 1.0
 _SLOW: Final = 3.0
 _LOOK_S: Final = 0.2
 _DEVICE_TYPE, _IDENTITY, _HEARTBEAT = 0x1000, 0x1018, 0x1017  # CiA 301
+_NMT, _STOP = 0x000, 0x02  # CiA 301, NMT
+_POSITION: Final = 0x6064
+_STREAM_S: Final = 0.01
+_STREAMED: Final = 20  # positions, an increment apart
 _MODE, _PROFILE, _PROFILE_VELOCITY = 0x6060, (0x6081, 0x6083, 0x6084), 3  # CiA 402-2
 
 
@@ -245,6 +250,59 @@ def changed_objects_are_written_again(bench: RigProtocol) -> None:
             abs(took_s - usual_s) <= bench.facts.time_tolerance_s,
             f"{what}: the next move took {took_s:.3f} s; {usual_s:.3f} s before",
         )
+
+
+@clause(
+    "LOW-07",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    source="CiA 301, 7.3.2.2, NMT stop remote node; Motor.low_level: afterwards nothing is assumed",
+)
+def stopped_node_is_started_again(bench: RigProtocol) -> None:
+    """A CANopen node that is stopped (NMT) in low-level access is started for the next motion."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, way)
+    motor.disable()
+    with motor.low_level() as found:
+        hardware: Any = found
+        if not hasattr(hardware, "send_frame") or not hasattr(hardware, "upload"):
+            raise NotApplicable("the hardware object sends no frames to a node of CANopen")
+        hardware.send_frame(_NMT, bytes((_STOP, hardware.node.node_id)))
+        rest_for(bench, _LOOK_S)
+        expect_raises(MotorError, partial(hardware.read, _DEVICE_TYPE), "a stopped node answers")
+    before = position_of(bench, motor)
+    move(bench, motor, way)
+    expect_moved(bench, motor, before, way, "after its node was stopped")
+
+
+@clause(
+    "LOW-08",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH},
+    source="CiA 402-2, cyclic synchronous position mode; requirement 2 of the paper",
+)
+def hardware_object_streams_positions(bench: RigProtocol) -> None:
+    """In low-level access, a stream of positions is followed at once, one for each period."""
+    motor = bench.motor
+    move(bench, motor, 0.1 * long_move(bench))
+    motor.disable()
+    with motor.low_level() as found:
+        hardware: Any = found
+        stream_positions = getattr(hardware, "stream_positions", None)
+        if stream_positions is None:
+            raise NotApplicable("the hardware object streams no positions")
+        _simple(hardware, "enable")()
+        before, begin = position_of(bench, motor), hardware.read(_POSITION)
+        stream = stream_positions(
+            _STREAM_S, lambda cycle: begin + cycle if cycle <= _STREAMED else None
+        )
+        rest_for(bench, 2.0 * _STREAMED * _STREAM_S + _LOOK_S)
+        moved = hardware.read(_POSITION) - begin
+        expect(stream.ended, f"a stream of {_STREAMED} positions has not ended")
+        expect(abs(moved - _STREAMED) <= 2, f"a stream over {_STREAMED} increments moved {moved}")
+    expect(position_of(bench, motor) != before, "a stream of positions did not move the motor")
+    move(bench, motor, 0.1 * long_move(bench))
 
 
 def _change_profile(hardware: Any) -> None:

@@ -493,6 +493,13 @@ def _expect_firing() -> None:
             told_s is not None and abs(told_s - wanted_s) < _NEAR_S,
             f"a frame among {messages} takes {told_s} s; expected {wanted_s} s",
         )
+    behind = CanTraffic(500_000, (lower,), frozenset((lower.rank,)))
+    told_s = longest_s([Firing("can0", behind, (_FRAME,))])
+    least_s, most_s = (_FRAME_S + frames * 95 / 500_000 for frames in (1, 2))
+    expect(
+        told_s is not None and least_s - _NEAR_S <= told_s <= most_s + _NEAR_S,
+        f"a frame queued behind one of {behind} takes {told_s} s; expected {least_s} to {most_s} s",
+    )
     apart = [Firing("can0", _WIRE, (_FRAME,)), Firing("can1", _WIRE, (_FRAME,), idle_s=0.5)]
     told_s = longest_s(apart)
     expect(told_s == 0.5 + 2.0 * _FRAME_S, f"frames on two buses take {told_s} s")

@@ -29,7 +29,7 @@ from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
-from motorhil.emulators.firmware import flags
+from motorhil.emulators.firmware import flags, profile
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
 from tests.conformance.drives.rigs import DRIVES
@@ -487,6 +487,36 @@ def option_3_is_a_ramp(patch):
     _quick_stop_as(patch, {3: 2})
 
 
+@mutant("STOP-05")
+def servo_stays_weak_after_a_hard_stop(patch):
+    """The gains of a quick stop with 605Ah = 4 or 8 stay for good."""
+
+    def make(good):
+        def end(self):
+            self._is_shorted = False
+            good(self)
+
+        return end
+
+    _wrap(patch, Axis, "_end_braking", make)
+
+
+@mutant("STOP-11")
+def it_stops_before_it_goes_on(patch):
+    """Enabled again while it slows down by 605Ch, the motor comes to rest first."""
+
+    def make(good):
+        def write(self, word, now_ns):
+            if self._at_rest == 5:
+                self.fsa.controlword = word
+            else:
+                good(self, word, now_ns)
+
+        return write
+
+    _wrap(patch, PowerDrive, "_write_controlword", make)
+
+
 @mutant("STOP-06")
 def shutdown_never_ramps(patch):
     """605Bh = 1 has the effect of 0."""
@@ -651,6 +681,48 @@ def software_limits_hold_in_pp_alone(patch):
     patch.setattr(limit_switches, "_FENCED_MODES", ())
 
 
+@mutant("LSW-02")
+def software_limits_hold_from_the_next_mode_on(patch):
+    """607Dh has no effect when it is written in pv."""
+    _always(patch, limit_switches.LimitGuard, "written", None)
+
+
+@mutant("LIM-02")
+def a_left_mode_stays_limited(patch):
+    """Bit 11 is 1 in pp until the first set-point."""
+
+    def make(good):
+        def leave(self):
+            good(self)
+            self.limited = True
+
+        return leave
+
+    _wrap(patch, ProfilePosition, "leave", make)
+
+
+@mutant("HOME-10")
+def hm_lets_the_motor_turn(patch):
+    """hm leaves a motor in motion as it is."""
+    _always(patch, homing.Homing, "enter", None)
+
+
+@mutant("PP-11")
+def a_slow_move_has_no_end(patch):
+    """The last ramp of a move is left out if it is slow."""
+
+    def make(good):
+        def move(*values):
+            pieces = good(*values)
+            return (
+                pieces[:-2] + pieces[-1:] if max(abs(one[3]) for one in pieces) <= 1.0 else pieces
+            )
+
+        return move
+
+    patch.setattr(profile, "move", make(profile.move))
+
+
 @mutant("TP-01")
 def falling_edges_are_rising_ones(patch):
     """Touch probes latch falling edges at rising ones."""
@@ -778,6 +850,15 @@ def mode_begins_without_its_halt(patch):
 def torque_limits_are_swapped(patch):
     """60E0h limits negative torques, and 60E1h positive ones."""
     _wrap(patch, TorqueObjects, "limits_a", lambda good: lambda s: good(s)[::-1])
+
+
+@mutant("TQ-06")
+def torque_limit_of_0_is_none(patch):
+    """60E0h = 0 and 60E1h = 0 are taken for no limit."""
+
+    _wrap(
+        patch, TorqueObjects, "limits_a", lambda good: lambda s: tuple(x or 99.0 for x in good(s))
+    )
 
 
 @mutant("TQ-05")
@@ -919,6 +1000,12 @@ def velocity_limit_is_ignored_in_csp(patch):
         )
 
     _wrap(patch, Axis, "follow", make)
+
+
+@mutant("CSP-07")
+def csp_never_turns_round(patch):
+    """With 607Bh, targets of csp are approached in positive direction only."""
+    patch.setattr(cyclic, "NEAREST", 2)
 
 
 @mutant("CSP-06")

@@ -1,10 +1,14 @@
 """Mistakes in homing, low-level access and closing."""
 
+from functools import partial
 from unittest.mock import patch
 
 from motorhil.emulators.cia402.drive import Cia402Drive
+from motorhil.motorapi.adaptations.canopen import node
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.cia402 import hardware
+from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
@@ -154,6 +158,20 @@ def every_object_is_its_first():
 def the_hardware_object_is_always_free():
     """The hardware object obeys everybody while its motor moves."""
     with replaced(PhysicalMotor, "require_free", lambda _: lambda physical: None):
+        yield
+
+
+@mutant("cia402", "LOW-07")
+def stopped_nodes_are_waited_for():
+    """A node in NMT state stopped is asked until the time is over, and not started."""
+    with patch.object(node, "STOPPED", None):
+        yield
+
+
+@mutant("cia402", "LOW-08")
+def streams_wait_for_a_beginning():
+    """A stream of the hardware object sends nothing until somebody begins it."""
+    with patch.object(hardware, "CspStream", partial(CspStream, at_once=False)):
         yield
 
 

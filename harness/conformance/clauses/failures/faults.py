@@ -170,12 +170,20 @@ def reset_fault_clears_fault_without_motion(bench: RigProtocol) -> None:
     source="Motor.fault: what the drive says is wrong; Motor.enable: DeviceFault",
 )
 def fault_at_rest_is_reported(bench: RigProtocol) -> None:
-    """At rest, a fault is reported with its error code to the next caller."""
+    """At rest, a fault is reported with its error code, and since when, to the next caller."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
+    begun_ns = bench.runtime.now_ns()
     code = bench.fail(motor)
     rest_for(bench, _NOTICED_S)
     _expect_fault(motor, code)
+    told = []
+    for _ in range(2):
+        fault = motor.fault()
+        told.append(0 if fault is None else fault.since_ns - begun_ns)
+        rest_for(bench, _NOTICED_S)
+    seen = " and ".join(f"{one / 1e9:g} s" for one in told)
+    expect(told[0] == told[1] >= 0, f"one fault, asked twice, began {seen} after its cause")
     motor.reset_fault()
     motor.start()
     finish(bench, motor, shortest_s(motor, way))

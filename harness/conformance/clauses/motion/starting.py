@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     rest_for,
     sample_positions,
     shortest_s,
+    speed,
     turn,
 )
 from motorhil.harness.rig.config.conformance import Capability
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 _EXAMPLES: Final = 6
 _LONG: Final = 4.0
+_HALF_S: Final = 0.03  # of the window of a mean velocity
 _TURN_RAD: Final = 6.3
 _GENTLE: Final = 0.25  # of the limits
 _GENTLY_S: Final = 10.0
@@ -522,14 +524,16 @@ def velocity_set_point_keeps_its_slopes(bench: RigProtocol) -> None:
         motor.set_setpoint(after, limits=DerivativeLimits(first=(-falling, rising)))
         begun_ns = bench.runtime.now_ns()
         motor.start()
-        finish(bench, motor, least_s)
-        took_s = elapsed_s(bench, begun_ns)
+        rest_for(bench, 0.5 * least_s - _HALF_S)
+        found = speed(bench, motor, 2.0 * _HALF_S)
+        most = rate * (elapsed_s(bench, begun_ns) - _HALF_S) + 0.05 * top
         expect(
-            took_s >= 0.65 * least_s,  # it is reached within a window
-            f"from {before:g} to {after:g} {model.unit}/s at {rate:g} {model.unit}/s² in"
-            f" {took_s:.3f} s; expected at least {least_s:.3f} s",
+            abs(found - before) <= most,
+            f"from {before:g} to {after:g} {model.unit}/s at {rate:g} {model.unit}/s²: {found:g}"
+            f" {model.unit}/s at half-time; expected a change of at most {most:g} {model.unit}/s",
         )
-        rest_for(bench, 0.5 * least_s)
+        finish(bench, motor, least_s)
+        rest_for(bench, least_s)
         if after:
             expect_speed(bench, motor, after, 0.1, "after a set-point with limits of its own")
     motor.stop()

@@ -436,8 +436,9 @@ def led_motor_follows_its_leader(bench: RigProtocol) -> None:
 
 
 def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:
-    """Move slowly, as the position of a leader is known in steps."""
-    slow = _LEADS * leader.model.velocity_max
+    """Move slowly: the position of a leader is known in steps, which a gentle brake must follow."""
+    model = leader.model
+    slow = _LEADS * model.velocity_max * min(1.0, model.deceleration / model.acceleration_max)
     follow(leader, TrapezoidalTrajectory(way, limits=DerivativeLimits(first=slow)))
     finish(bench, leader, shortest_s(leader, way) + abs(way) / slow)
 

@@ -291,6 +291,34 @@ def interpolation_period(bench: DriveBench) -> None:
         drive.expect(is_there or took_s < SYNC_S + 0.005 >= time_s, what, expected, seen, "ignored")
 
 
+@drive_clause("CSP-07", Level.L4, source=f"{_CSP}, position range limit 607Bh")
+def range_in_csp(bench: DriveBench) -> None:
+    """In csp, targets that pass an end of the range 607Bh go on at its other end, both ways."""
+    drive = bench.drive
+    drive.require_mode(Mode.CSP)
+    drive.require(od.RANGE_MIN, od.RANGE_MAX)
+    step = 0.25 * drive.pace().speed * SYNC_S
+    size, start = 2 * round(20 * step), drive.read(od.POSITION)
+    low = start - size // 2
+    drive.set(od.RANGE_MIN, low)
+    drive.set(od.RANGE_MAX, low + size - 1)
+    stream, start, _ = _position_stream(bench)
+    place = 0
+    for sign in (1, -1):
+        for _ in range(30):
+            place += sign
+            stream.send(low + (start - low + round(place * step)) % size)
+        velocity = drive.read(od.VELOCITY)
+        target = low + (start - low + round(place * step)) % size
+        what = f"csp, 607Bh = {low}..{low + size - 1}, past its end in direction {sign}"
+        expected, cause = f"606Ch in direction {sign}, no faster", "the long way round"
+        most = drive.pace().velocity // 2
+        drive.expect(0 < sign * velocity <= most, what, expected, f"{velocity}", cause)
+        stream.send(target, 20)
+        away = (drive.read(od.POSITION) - target + size // 2) % size - size // 2
+        drive.expect(abs(away) <= drive.window(), what, f"6064h = {target}", f"{away} beside it")
+
+
 @drive_clause("CSV-02", Level.L4, source=f"{_CSV}, 60B1h, 607Fh, controlword bit 8")
 def velocity_offset(bench: DriveBench) -> None:
     """In csv the velocity is 60FFh + 60B1h, up to 607Fh with bits 11, 12 = 1, 0; halt stops it."""

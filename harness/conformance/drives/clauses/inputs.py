@@ -3,7 +3,7 @@
 from itertools import pairwise
 from typing import Final
 
-from motorhil.harness.conformance.clause import Level
+from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.clauses.homing import scale
@@ -122,7 +122,10 @@ def _expect_barred(drive: Drive, pace: Pace, sign: int, mode: Mode, what: str) -
 
 @drive_clause("LSW-02", Level.L2, source="CiA 402-2, 607Dh: limits of the position actual value")
 def software_limits_in_velocity_modes(bench: DriveBench) -> None:
-    """In pv the motor does not run beyond 607Dh: it is stopped with bit 11 = 1, or has a fault."""
+    """In pv the motor does not run beyond 607Dh: it is stopped with bit 11 = 1, or has a fault.
+
+    That holds also for a limit that is written in motion, if the drive takes it.
+    """
     drive = bench.drive
     drive.require_mode(Mode.PV)
     drive.require(od.LIMIT_MIN, od.LIMIT_MAX)
@@ -155,12 +158,34 @@ def software_limits_in_velocity_modes(bench: DriveBench) -> None:
     drive.await_velocity(pace.velocity, 3.0 * pace.ramp_s)
     inside = drive.until(lambda word: not word & od.INTERNAL_LIMIT, pace.ramp_s)
     drive.expect(inside is not None, "back within 607Dh", "bit 11 = 0", "1")
+    if drive.offer_value(od.LIMIT_MAX, start + offset) == 0:
+        what = f"607Dh:2 = {start + offset}, written in motion"
+        drive.braked(pace.velocity, 6.0 * pace.ramp_s + 2.0, what)
+        place, expected = drive.read(od.POSITION), f"rest at {start} to {start + most}"
+        is_kept = start - drive.window() <= place <= start + most
+        drive.expect(is_kept, what, expected, f"{place}", "607Dh has its effect later")
 
 
 def _latched(drive: Drive, value: int, events: int, place: int) -> tuple[int, int]:
     """Return a latched position and its count of events; `place` is 0 for rising edges."""
     position = drive.read(Entry(value + place, 0, "i", "touch probe position value"))
     return position, drive.read(Entry(events + place, 0, "H", "touch probe edge counter"))
+
+
+@drive_clause("LIM-02", Level.L2, source="CiA 402-2, statusword bit 11: internal limit active")
+def no_limit_is_active(bench: DriveBench) -> None:
+    """Away from all limits, bit 11 is 0 at rest in each mode, also when it is selected again."""
+    drive = bench.drive
+    modes = [one for one in (Mode.PP, Mode.PV, Mode.TQ, Mode.HM) if drive.has_mode(one)]
+    if not modes:
+        raise NotApplicable("6502h claims none of pp, pv, tq and hm")
+    if Mode.PV in modes:
+        drive.write(od.TARGET_VELOCITY, 0)
+    for mode in modes + modes:
+        drive.enable(mode)
+        word = drive.statusword()
+        drive.expect(not word & od.INTERNAL_LIMIT, f"{mode} at rest", "bit 11 = 0", f"{word:04X}h")
+        drive.command(od.DISABLE_VOLTAGE)
 
 
 @drive_clause("TP-01", Level.L1, source=_PROBE)

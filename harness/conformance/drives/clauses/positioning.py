@@ -1,5 +1,6 @@
 """Profile position: set-points and their handshake, target reached, halt, change on set-point."""
 
+from itertools import pairwise
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
@@ -13,6 +14,7 @@ _PP: Final = "CiA 402-2 / IEC 61800-7-201, profile position mode"
 _CRUISE_S: Final = 0.2
 _WINDOW_MS: Final = 200
 _EARLY_S, _LATE_S = 0.02, 0.1
+_SLOW_INC_S: Final = 500.0  # speed of a slow move [increments/s]
 
 
 def _start(bench: DriveBench) -> tuple[Drive, Pace, int, int]:
@@ -227,3 +229,26 @@ def change_on_set_point(bench: DriveBench) -> None:
             f"the drive stops at {first}: it ignores bit 9, as drives to DSP 402 version 2 do"
             f" ({last} was reached)"
         )
+
+
+@drive_clause("PP-11", Level.L1, source=f"{_PP}, 6081h to 6084h; position demand value 6062h")
+def slow_move_has_its_ramps(bench: DriveBench) -> None:
+    """A slow move on gentle ramps has them at both ends: its demand 6062h never steps."""
+    drive, pace, start, _ = _start(bench)
+    drive.require(od.POSITION_DEMAND)
+    units = drive.units()
+    velocity = max(1, round(_SLOW_INC_S / units.position_inc / units.velocity))
+    speed = velocity * units.velocity
+    ramp = max(1, round(2.0 * speed / units.acceleration))
+    if speed * units.position_inc > 2.0 * _SLOW_INC_S or velocity > pace.velocity:
+        raise NotApplicable("a velocity unit of the drive is too large for a slow move")
+    drive.write(od.PROFILE_VELOCITY, velocity)
+    drive.ramps(ramp)
+    drive.offer(start + round(speed), od.IMMEDIATELY)
+    track = drive.watch(od.POSITION_DEMAND, lambda one: one.value >= start + round(speed), 4.0)
+    steps = [
+        b.value - a.value - 1.5 * speed * (b.time_ns - a.time_ns) / 1e9 for a, b in pairwise(track)
+    ]
+    seen = f"{max(steps):.1f} more than its speed allows"
+    what = f"a move at 6081h = {velocity} on ramps of 0.5 s"
+    drive.expect(max(steps) <= 4.0, what, "6062h without a step", seen, "a ramp is left out")

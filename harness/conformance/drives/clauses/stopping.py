@@ -5,7 +5,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace
+from motorhil.harness.conformance.drives.drive import QUIET_S, STATE_S, Drive, Pace
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, Mode, State
 
@@ -95,9 +95,13 @@ def quick_stop_coasts(bench: DriveBench) -> None:
 
 @drive_clause("STOP-05", Level.L2, source=f"{_QUICK_STOP} = 3, 4, 7 and 8")
 def quick_stop_limits(bench: DriveBench) -> None:
-    """With 605Ah = 3 or 4 a quick stop is harder than 6085h; with 7 or 8 the drive stays in it."""
+    """With 605Ah = 3 or 4 a quick stop is harder than 6085h; with 7 or 8 the drive stays in it.
+
+    After each of them, a motion is followed as closely as before.
+    """
     drive = bench.drive
     refused = 0
+    before = _largest_error(drive)
     for option in (3, 4, 7, 8):
         if drive.find(od.QUICK_STOP_OPTION) is None or drive.refusal(
             od.QUICK_STOP_OPTION.index, 0, option.to_bytes(2, "little")
@@ -112,8 +116,24 @@ def quick_stop_limits(bench: DriveBench) -> None:
         stays = State.QUICK_STOP_ACTIVE if option > 4 else State.SWITCH_ON_DISABLED
         _at_rest(drive, pace, stays, what)
         drive.become(State.SWITCH_ON_DISABLED, od.DISABLE_VOLTAGE, "transition 12")
+        if before is not None:
+            what, most = f"60F4h in a move after {what}", 2 * before + drive.window()
+            error = _largest_error(drive) or 0
+            drive.expect(error <= most, what, f"up to {most}", f"{error}", "the servo is weaker")
     if refused == 4:
         raise NotApplicable("the drive takes none of 3, 4, 7, 8 in 605Ah")
+
+
+def _largest_error(drive: Drive) -> int | None:
+    """Return the largest 60F4h of a short move; None if the drive makes none, or does not tell."""
+    if not drive.has_mode(Mode.PP) or drive.find(od.FOLLOWING_ERROR) is None:
+        return None
+    pace = drive.pace()
+    drive.enable(Mode.PP)
+    drive.offer(drive.read(od.POSITION) + pace.distance(0.0), od.IMMEDIATELY)
+    track = drive.watch(od.FOLLOWING_ERROR, lambda _: False, 2.0 * pace.ramp_s + QUIET_S)
+    drive.command(od.DISABLE_VOLTAGE)
+    return max(abs(one.value) for one in track)
 
 
 def _expect_option(bench: DriveBench, entry: Entry, word: int, state: State) -> None:
@@ -265,9 +285,12 @@ def disabling_is_taken_back(bench: DriveBench) -> None:
         drive.expect(seen is State.OPERATION_ENABLED, what, expected, f"{seen}")
         drive.ramps(pace.acceleration)
         drive.command(od.ENABLE)
+        drive.quiet(1.5 * pace.ramp_s)
+        if drive.has_mode(Mode.PV):
+            what = f"{what}, then 0Fh"
+            cause = "it slows down to rest first"
+            drive.near(od.VELOCITY, pace.velocity, pace.velocity // 10, what, cause)
         drive.quiet(2.0 * _SLOW * pace.ramp_s)
         seen = drive.state()
         expected = "operation enabled, as before"
-        drive.expect(seen is State.OPERATION_ENABLED, f"{what}, then 0Fh", expected, f"{seen}")
-        if drive.has_mode(Mode.PV):
-            drive.near(od.VELOCITY, pace.velocity, pace.velocity // 10, f"{what}, then 0Fh")
+        drive.expect(seen is State.OPERATION_ENABLED, what, expected, f"{seen}")

@@ -182,6 +182,22 @@ def torque_limits(bench: DriveBench) -> None:
         drive.write(entry, own)
 
 
+@drive_clause("TQ-06", Level.L2, source="CiA 402-2, 60E0h, 60E1h = 0, 6077h")
+def no_torque_in_a_direction(bench: DriveBench) -> None:
+    """With 60E0h = 0 no positive torque is made, and with 60E1h = 0 no negative one."""
+    drive, _, torque = _start(bench, Mode.TQ)
+    drive.require(od.TORQUE_POSITIVE, od.TORQUE_NEGATIVE)
+    for entry, sign in ((od.TORQUE_POSITIVE, 1), (od.TORQUE_NEGATIVE, -1)):
+        own = drive.read(entry)
+        drive.set(entry, 0)
+        for target in (sign * torque, -sign * torque):
+            drive.write(od.TARGET_TORQUE, target)
+            drive.quiet()
+            wanted = 0 if target == sign * torque else target
+            drive.near(od.TORQUE, wanted, _NOISE, f"6071h = {target}, {entry} = 0")
+        drive.write(entry, own)
+
+
 @drive_clause("TQ-05", Level.L1, source="CiA 402-2, 6077h, 6078h")
 def torque_is_current(bench: DriveBench) -> None:
     """The current 6078h has the sign of the torque 6077h, and is proportional to it."""

@@ -13,7 +13,7 @@ from typing import Any, Final
 VARIANTS: Final = (
     *("linear axis", "inverted polarity", "inverted velocities", "brakes gently", "only pp"),
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
-    *("torque limit in the drive", "units of the drive", "PDOs without identifiers", "no RPDOs"),
+    *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
     "position limits in the drive",
 )
 _OF: Final = "cia402: "

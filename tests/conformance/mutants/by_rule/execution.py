@@ -1,13 +1,15 @@
 """Execution: which clause on which bench executes which statement, and at what cost.
 
-Measured once for a state of the sources, and kept in `build`.
+Measured once for a state of the sources, and kept in `build`. A change of a clause has the clauses
+of its module alone measured again.
 """
 
+import ast
 import json
 import sys
 from collections.abc import Collection
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +22,7 @@ from tests.support.checkout import CHECKOUT, sources
 
 KEPT: Final = CHECKOUT / "build" / "mutants" / "execution.json"
 _OF_DRIVES: Final = ("harness/conformance/drives", "tests/conformance/drives")
+_CLAUSES: Final = ("harness/conformance/clauses/", "harness/conformance/drives/clauses/")
 _LONG_S: Final = 600.0
 
 
@@ -137,13 +140,15 @@ def measured(only: str = "") -> Execution:
     for bench in benches.names():
         if only not in bench:
             continue
-        digest = digests[benches.is_of_drive(bench)]
-        if kept.get(bench, {}).get("digest") != digest:
-            kept[bench] = {"digest": digest, **_measure(bench)}
+        found = kept.get(bench, {})
+        if found.get("digest") != digests[benches.is_of_drive(bench)]:
+            found = {"digest": digests[benches.is_of_drive(bench)], "runs": {}}
+        if _measure(bench, found):
+            kept[bench] = found
             KEPT.parent.mkdir(parents=True, exist_ok=True)
             KEPT.write_text(json.dumps(kept))
-        found = kept[bench]
-        runs += [Run(**{**one, "hits": _bits(one["hits"])}) for one in found["runs"]]
+        good = [run for _, run in found["runs"].values() if run is not None]
+        runs += [Run(**{**one, "hits": _bits(one["hits"])}) for one in good]
         modules.update(found["modules"])
         for file, bits in _bits(found["before"]).items():
             before[file] = before.get(file, 0) | bits
@@ -159,12 +164,12 @@ def _texts(bits: dict[str, int]) -> dict[str, str]:
 
 
 def _digest(of_drive: bool) -> str:
-    """Return a digest of everything that the measurement of one kit's benches depends on."""
+    """Return a digest of what the measurement of one kit's benches depends on, but for clauses."""
     rigs = sorted((CHECKOUT / "harness" / "conformance").rglob("*.toml"))
     own = [Path(__file__).with_name(f"{name}.py") for name in ("benches", "loading", "sources")]
     tests = CHECKOUT / "tests" / "conformance"
     files = [*sources(), *rigs, tests / "variants.py", tests / "drives" / "rigs.py", *own]
-    others = ("motorapi", "harness/conformance/clauses") if of_drive else _OF_DRIVES
+    others = (*_CLAUSES, "motorapi") if of_drive else (*_CLAUSES, *_OF_DRIVES)
     state = blake2b(digest_size=16)
     for path in files:
         if not path.relative_to(CHECKOUT).as_posix().startswith(others):
@@ -172,30 +177,55 @@ def _digest(of_drive: bool) -> str:
     return state.hexdigest()
 
 
-def _measure(bench: str) -> dict[str, Any]:
-    print(f"measuring which statements the clauses execute: {bench}", file=sys.stderr)
-    runs: list[Any] = []
-    for answer in answers(lambda tell: _run_all(bench, tell)):
+@cache
+def _digest_of_clauses(module: str) -> str:
+    """Return a digest of a module of clauses, and of those that it imports."""
+    path = (CHECKOUT / Path(*module.split(".")[1:])).with_suffix(".py")
+    if not path.exists() or not path.relative_to(CHECKOUT).as_posix().startswith(_CLAUSES):
+        return ""
+    text = path.read_bytes()
+    nodes = ast.walk(ast.parse(text))
+    named = sorted({one.module or "" for one in nodes if isinstance(one, ast.ImportFrom)})
+    return blake2b("".join((text.decode(), *map(_digest_of_clauses, named))).encode()).hexdigest()
+
+
+def _measure(bench: str, kept: dict[str, Any]) -> bool:
+    """Measure the clauses that have changed since this was kept; return whether there were any."""
+    wanted = {
+        key: _digest_of_clauses(one.check.__module__) for key, one in benches.clauses(bench).items()
+    }
+    runs = {key: run for key, run in kept["runs"].items() if run[0] == wanted.get(key)}
+    missing = [key for key in wanted if key not in runs]
+    if runs.keys() == kept["runs"].keys() and not missing:
+        return False
+    if missing:
+        print(
+            f"measuring which statements {len(missing)} clauses execute: {bench}", file=sys.stderr
+        )
+    for answer in answers(lambda tell: _run_all(bench, missing, tell)) if missing else ():
         if answer is None or "raised" in answer:
             raise RuntimeError(f"{bench}: measuring failed: {answer}")
         if "modules" in answer:
-            return {"runs": runs, "modules": answer["modules"], "before": answer["before"]}
-        runs.append(answer)
-    raise RuntimeError(f"{bench}: measuring did not end")
+            kept |= answer
+        else:
+            runs[answer["clause"]] = (wanted[answer["clause"]], answer["run"])
+    kept["runs"] = {key: runs[key] for key in wanted}
+    return True
 
 
-def _run_all(bench: str, tell: Tell) -> None:
-    """Run all clauses on a bench, in instrumented sources."""
+def _run_all(bench: str, wanted: Collection[str], tell: Tell) -> None:
+    """Run these clauses on a bench, in instrumented sources."""
     limit(_LONG_S, 10.0 * _LONG_S)
     import_instrumented()
-    clauses = list(benches.clauses(bench))
+    clauses = [key for key in benches.clauses(bench) if key in wanted]
     benches.opener(bench)
     before = hits(clear=True)
     for clause in clauses:
         verdict, cost_s = _timed(clause, bench)
+        found, run = _texts(_of(bench, hits(clear=True))), None
         if _is_as_wanted(verdict, clause, bench):
-            found = _texts(_of(bench, hits(clear=True)))
-            tell({**_answer(verdict, clause, bench, cost_s), "hits": found})
+            run = {**_answer(verdict, clause, bench, cost_s), "hits": found}
+        tell({"clause": clause, "run": run})
     own = ("motorhil", "numpy", "can", "canopen", "pymodbus", "hypothesis")
     modules = [name for name in sys.modules if name.partition(".")[0] in own]
     tell({"modules": modules, "before": _texts(before)})

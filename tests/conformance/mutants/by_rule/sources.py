@@ -19,8 +19,9 @@ from tests.support.checkout import CHECKOUT
 
 PATTERNS: Final = (
     *("motorapi/*.py", "motorapi/planning/*.py", "motorapi/synchronization/*.py"),
-    *("motorapi/ownership/*.py", "motorapi/adaptations/*.py", "motorapi/adaptations/*/*.py"),
-    *("emulators/cia402/*.py", "emulators/cia402/*/*.py", "emulators/firmware/*.py"),
+    *("motorapi/ownership/*.py", "motorapi/api/*.py", "motorapi/adaptations/*/*.py"),
+    *("emulators/motor_drive.py", "emulators/cia402/*.py", "emulators/cia402/*/*.py"),
+    "emulators/firmware/*.py",
 )
 """Sources of mutants: whatever motors and the emulated CiA 402 drive do."""
 
