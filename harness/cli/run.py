@@ -111,6 +111,8 @@ def run(options: argparse.Namespace) -> int:
         print(note, file=sys.stderr)
     end = _End(rig, options.until)
     try:
+        if script is None and rig.description.programs:
+            return _run_programs(rig)
         status = run_judged(rig, script, words, "run")
     except KeyboardInterrupt:
         if not end.is_reached:
@@ -119,6 +121,17 @@ def run(options: argparse.Namespace) -> int:
     if status != PASSED and script is not None:
         print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
+
+
+def _run_programs(rig: "Rig") -> int:
+    """Run the programs of the rig, each in its process; return 0 if none of them failed."""
+    from motorhil.harness.shared_time.programs import run_programs
+
+    with rig:
+        wrong = run_programs(rig, lambda line: print(line, flush=True))
+    for name, reason in wrong.items():
+        print(f"motorhil run: program {name}: {reason}", file=sys.stderr)
+    return 1 if wrong else PASSED
 
 
 @final

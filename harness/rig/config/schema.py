@@ -23,6 +23,7 @@ from motorhil.harness.rig.config.rig_file import (
     MotorTable,
     RigTable,
 )
+from motorhil.harness.rig.config.programs import ProgramTable
 from motorhil.harness.rig.config.stimuli import StimulusTable
 from motorhil.harness.rig.config.toml import NAME
 from motorhil.settings import Declaration, Schema, declaration, schema, with_definitions
@@ -52,6 +53,7 @@ def rig_schema() -> Schema:
             "group": _named(name, GroupTable, "Motors that move together."),
             "fault": _listed(FaultTable, "Faults of buses and lines."),
             "stimulus": _listed(StimulusTable, "Changes of physical inputs of controllers."),
+            "program": _named(name, ProgramTable, "Programs that `motorhil run RIG` starts."),
             "conformance": {"$ref": declaration(ConformanceTable)},
         },
         "anyOf": [{"required": ["bus"]}, _without_bus()],
