@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Final, Protocol, final
 from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, as_driven
 from motorhil.emulators.simulation.ownership_notice import unpack_owns
 from motorhil.harness.shared_time import records
-from motorhil.harness.shared_time.records import RecordError, Result, WaitFlags
+from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
 from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter
 
 if TYPE_CHECKING:
     from motorhil.emulators.simulation.endpoints import HostPort
+    from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
     from motorhil.emulators.simulation.world import World
     from motorhil.motorapi.runtime.api import Registration
 
@@ -25,13 +26,22 @@ _PARTIES_MAX: Final = 1024
 class Seat(Protocol):
     """What a participant needs of its rig."""
 
-    world: "World"
-    runtime: VirtualRuntime
     turns: int
     """How many turns programs have had."""
 
+    @property
+    def world(self) -> "World":
+        """The rig's buses."""
+
+    @property
+    def runtime(self) -> VirtualRuntime:
+        """The rig's time."""
+
     def receive(self, participant: "Participant") -> bytes:
         """Return the next record of the program; b"" if it has gone."""
+
+    def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
+        """Return the notice of a program without what differs in each run."""
 
     def departed(self, participant: "Participant", reason: str) -> None:
         """Tell that the program has gone; `reason` is "" if it has left by itself."""
@@ -143,13 +153,8 @@ class Participant:
                     self._depart("")
                     return
                 self._takers[kind](record)
-            except (KeyError, ValueError, RecordError, OSError) as error:
+            except (KeyError, ValueError, RecordError, LengthError) as error:
                 self._depart(f"its record {record[:24].hex()} is wrong: {error!r}")
-                return
-            except Exception as error:
-                if not isinstance(error, records.struct.error):
-                    raise
-                self._depart(f"its record {record[:24].hex()} has a wrong length")
                 return
 
     def _send(self, record: bytes) -> None:
@@ -165,9 +170,7 @@ class Participant:
         world = self._seat.world
         if bus not in world.bus_names() or number == _PORTS_MAX:
             raise RecordError(f"bus {bus!r} cannot be opened")
-        hear, told = (
-            partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD)
-        )
+        hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
 
         def hear_classical(frame: bytes, time_ns: int, transmitted: bool) -> None:
             if len(frame) == FRAME_BYTES:
@@ -195,7 +198,9 @@ class Participant:
         notice = unpack_owns(record[records.NUMBERED.size :])
         if notice is None:
             raise RecordError("notice")
-        self._seat.world.tell_ownership(bus, port.name, notice)
+        self._seat.world.tell_ownership(
+            bus, port.name, self._seat.repeatable(bus, notice, self.name)
+        )
 
     def _every(self, record: bytes) -> None:
         _, number, period_ns = records.PERIOD.unpack(record)

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
@@ -90,10 +90,13 @@ class _Process:
     def end(self) -> None:
         """Kill it and its children."""
         self.was_ended = True
-        try:
+        with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
+
+    def await_end(self) -> None:
+        """Wait until its locks and files are free, which is just after its connection has ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_GRACE_S)
 
     def wait(self, until_s: float) -> int:
         """Return its exit status; kill it at `until_s` of the monotonic clock."""
@@ -173,8 +176,9 @@ def _started(
             Path(folder) / "clock",
             seed=rig.seed,
             tell=notice,
-            stall_s=max(one.stall_s for one in description.programs.values()),
+            stalls_s={name: one.stall_s for name, one in description.programs.items()},
             end=lambda name: processes[name].end(),
+            await_end=lambda name: processes[name].await_end(),
         )
         try:
             for program in description.programs.values():

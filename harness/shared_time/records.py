@@ -97,6 +97,10 @@ class Result(IntEnum):
     INTERRUPTED = 3
 
 
+LengthError: Final = struct.error
+"""Raised for a record that is too short or too long for its kind."""
+
+
 @final
 class RecordError(Exception):
     """A record that the protocol does not allow; the message says which."""

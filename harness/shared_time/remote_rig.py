@@ -1,9 +1,9 @@
 """Rig of a program that runs in another process than the rig.
 
-    with motorhil.join() as rig:
-        wheel = rig.motors["left"]
-        wheel.enable()
-        rig.runtime.run_for(1.0)
+with motorhil.join() as rig:
+wheel = rig.motors["left"]
+wheel.enable()
+rig.runtime.run_for(1.0)
 """
 
 import json
@@ -43,7 +43,7 @@ class RemoteRig:
         motors, groups: by name, in the order of the file, created on first use.
     """
 
-    def __init__(self, name: str, path: Path, connection: socket.socket) -> None:
+    def __init__(self, name: str, path: Path, connection: socket.socket, shared_at: str) -> None:
         self.name: Final = name
         self.description: Final[RigDescription] = describe(path)
         link = RemoteLink(connection)
@@ -59,15 +59,13 @@ class RemoteRig:
         self._cleanup.callback(link.close)
         self._cleanup.callback(self.runtime.close)
         world = RemoteWorld(buses, link, self.runtime)
-        open_rig(world, self.runtime)
+        open_rig(world, self.runtime, shared_at)
         self._cleanup.callback(close_rig, world)
         self._plugins: Final = RigPlugins(self.description)
         self._models: Final = read_models(self.description)
         self._buses: Final = Named("bus", buses, self._bus)
         self.motors: Mapping[str, Motor] = Named("motor", self.description.motors, self._motor)
-        self.groups: Mapping[str, MotorGroup] = Named(
-            "group", self.description.groups, self._group
-        )
+        self.groups: Mapping[str, MotorGroup] = Named("group", self.description.groups, self._group)
         self.runtime.begin()
 
     def bus(self, name: str) -> EmulatedBus:
@@ -149,5 +147,5 @@ def join() -> RemoteRig:
     except OSError as error:
         connection.close()
         raise UsageError(f"{path}: cannot join the rig: {error.strerror or error}") from None
-    _joined.append(RemoteRig(name, Path(rig), connection))
+    _joined.append(RemoteRig(name, Path(rig), connection, path))
     return _joined[0]

@@ -6,7 +6,8 @@ their time, so that a program cannot see a difference to a rig of its own proces
 """
 
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.simulation.event_queue import EventQueue
@@ -59,10 +60,8 @@ class RemoteLink:
         """Tell the rig that this program leaves, and close the connection."""
         if self.is_open:
             self.is_open = False
-            try:
+            with suppress(OSError):
                 self._connection.send(bytes([records.LEAVE]))
-            except OSError:
-                pass
         self._connection.close()
 
 
@@ -121,14 +120,16 @@ class RemoteRuntime(VirtualRuntime):
         self._link.send(records.PERIOD.pack(records.EVERY, number, round(period_s * 1e9)))
         return _Period(self._periods, self._link, number)
 
-    def wait_for_processes(
-        self, done: Callable[[], bool], timeout_s: float | None = None
-    ) -> bool:
-        """Wait as `wait_until` does, for what another program of the rig does outside the buses."""
+    @contextmanager
+    def watching_processes(self) -> Iterator[None]:
+        """Let waits of this party look again after each turn of another program.
+
+        For what programs share outside the buses, such as locks in files.
+        """
         party = self._party_here()
         self._on_processes.append(party)
         try:
-            return self._wait_until(done, timeout_s)
+            yield
         finally:
             self._on_processes.remove(party)
 

@@ -11,10 +11,13 @@ that keeps the turn.
 import contextlib
 import json
 import os
+import re
 import select
 import socket
+import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
@@ -22,6 +25,7 @@ from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.participant import Participant
 
 if TYPE_CHECKING:
+    from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
     from motorhil.emulators.simulation.world import World
     from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
@@ -31,6 +35,8 @@ RIG_VARIABLE: Final = "MOTORHIL_RIG"
 """Environment variable of programs: the rig file."""
 JOIN_S: Final = 10.0
 _LOOK_S: Final = 0.1
+_PEER: Final = struct.Struct("3i")  # pid, uid, gid
+_PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 
 
 @final
@@ -48,8 +54,9 @@ class SharedClock:
         path: of the socket, which is created.
         seed: of the run.
         tell: called with (program, level, sentence) for what happens to programs.
-        stall_s: how long a program may keep the turn, on the wall clock [s].
-        end: ends a program that keeps it longer, by name.
+        stalls_s: how long each program may keep the turn, on the wall clock [s].
+        end: ends the program of this name, which keeps it longer.
+        await_end: waits for the end of the process of this name, whose connection has ended.
 
     Attributes:
         turns: how many turns programs have had.
@@ -64,8 +71,9 @@ class SharedClock:
         *,
         seed: int,
         tell: Callable[[str, str, str], None],
-        stall_s: float,
+        stalls_s: Mapping[str, float],
         end: Callable[[str], None],
+        await_end: Callable[[str], None],
     ) -> None:
         self.world: Final = world
         self.runtime: Final = runtime
@@ -74,8 +82,9 @@ class SharedClock:
         self.left: dict[str, str] = {}
         self._seed: Final = seed
         self._tell: Final = tell
-        self._stall_s: Final = stall_s
+        self._stalls_s: Final = stalls_s
         self._end: Final = end
+        self._await_end: Final = await_end
         self._programs: list[Participant] = []
         self._poll: Final = select.poll()
         self._outputs: dict[int, Callable[[], bool]] = {}
@@ -86,9 +95,11 @@ class SharedClock:
         finally:
             os.umask(mask)
         self._listener.listen()
+        self._tokens: dict[tuple[str, int], list[int]] = {}
+        self._pids: dict[int, str] = {}
 
     def watch(self, fd: int, take: Callable[[], bool]) -> None:
-        """Call `take` whenever `fd` is readable while a program is waited for, until it is False."""
+        """Call `take` when `fd` is readable, until it returns False."""
         self._outputs[fd] = take
         self._poll.register(fd, select.POLLIN)
 
@@ -108,8 +119,8 @@ class SharedClock:
                 who = ", ".join(dead or missing)
                 why = "ended before it joined" if dead else f"did not join within {JOIN_S:g} s"
                 raise JoinError(
-                    f"program {who}: {why}; expected a program that joins the rig's time: a Python"
-                    " program, or one that calls motorhil.join(); joins = false starts one beside it"
+                    f"program {who}: {why}; expected one that joins the rig's time: a Python"
+                    " program, or one that calls motorhil.join(); joins = false lets it run beside"
                 )
             found = self._accept(missing)
             if found is not None:
@@ -120,11 +131,12 @@ class SharedClock:
             program.begin()
 
     def _accept(self, missing: Sequence[str]) -> Participant | None:
-        ready = select.select([self._listener, *self._outputs], [], [], _LOOK_S)[0]
+        door = self._listener.fileno()
+        ready = select.select([door, *self._outputs], [], [], _LOOK_S)[0]
         for one in ready:
-            if isinstance(one, int):
+            if one != door:
                 self._take(one)
-        if self._listener not in ready:
+        if door not in ready:
             return None
         connection, _ = self._listener.accept()
         connection.settimeout(JOIN_S)
@@ -139,6 +151,8 @@ class SharedClock:
             connection.close()
             return None
         connection.settimeout(None)
+        peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+        self._pids[_PEER.unpack(peer)[0]] = name
         buses = {bus: self.world.bus(bus).data_bitrate_bit_s for bus in self.world.bus_names()}
         head = records.WELCOMED.pack(
             records.WELCOME, records.VERSION, self.runtime.now_ns(), self._seed
@@ -153,6 +167,7 @@ class SharedClock:
     def receive(self, participant: Participant) -> bytes:
         """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
         connection = participant.connection
+        stall_s = self._stalls_s[participant.name]
         asked_s = told_s = 0.0
         while True:
             ready = self._poll.poll(1000.0 * _LOOK_S)
@@ -166,16 +181,16 @@ class SharedClock:
                     return b""
             now_s = time.monotonic()
             asked_s = asked_s or now_s
-            if now_s - asked_s > self._stall_s and not told_s:
+            if now_s - asked_s > stall_s and not told_s:
                 told_s = now_s
                 self._tell(
                     participant.name,
                     "error",
-                    f"has kept the turn for {self._stall_s:g} s of wall time, and no virtual time"
+                    f"has kept the turn for {stall_s:g} s of wall time, and no virtual time"
                     " passes; expected a wait; it is killed",
                 )
                 self._end(participant.name)
-            if told_s and now_s - told_s > self._stall_s:
+            if told_s and now_s - told_s > stall_s:
                 return b""  # it cannot be killed: its connection is closed
 
     def _take(self, fd: int) -> None:
@@ -183,12 +198,22 @@ class SharedClock:
             del self._outputs[fd]
             self._poll.unregister(fd)
 
+    def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
+        """Return a program's notice with names for process IDs, and tokens counted from 1."""
+        known = self._tokens.setdefault((bus, notice.resource), [])
+        if notice.token and notice.token not in known:
+            known.append(notice.token)
+        token = known.index(notice.token) + 1 if notice.token else 0
+        holder = _PROCESS.sub(lambda found: self._pids.get(int(found[1]), found[0]), notice.holder)
+        return replace(notice, token=token, holder=holder, pid=0, program=name)
+
     def departed(self, participant: Participant, reason: str) -> None:
         """Note that a program has gone."""
         with contextlib.suppress(KeyError, ValueError):
             self._poll.unregister(participant.connection)
         self.left[participant.name] = reason
         if reason:
+            self._await_end(participant.name)
             self._tell(participant.name, "warning", f"has left the rig: {reason}")
 
     def close(self) -> None:

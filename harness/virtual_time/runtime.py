@@ -217,7 +217,7 @@ class VirtualRuntime:
             raise waiter.error
         return waiter.result
 
-    def every(self, period_s: float, action: Callable[[], None]) -> Periodic:
+    def every(self, period_s: float, action: Callable[[], None]) -> "Registration":
         """Call `action` every `period_s` [s], first after one period; it must not wait."""
         if not 1e-9 <= period_s <= 1e9:
             raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")

@@ -15,6 +15,7 @@ from motorhil.harness.rig.config.buses import AddressTable, BusTable
 from motorhil.harness.rig.config.conformance import ConformanceTable
 from motorhil.harness.rig.config.derived import TimingTable
 from motorhil.harness.rig.config.faults import FaultTable
+from motorhil.harness.rig.config.programs import ProgramTable
 from motorhil.harness.rig.config.rig_file import (
     RESERVED,
     ControllerTable,
@@ -23,7 +24,6 @@ from motorhil.harness.rig.config.rig_file import (
     MotorTable,
     RigTable,
 )
-from motorhil.harness.rig.config.programs import ProgramTable
 from motorhil.harness.rig.config.stimuli import StimulusTable
 from motorhil.harness.rig.config.toml import NAME
 from motorhil.settings import Declaration, Schema, declaration, schema, with_definitions
