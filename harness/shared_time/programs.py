@@ -24,6 +24,7 @@ from motorhil.harness.shared_time.shared_clock import (
     JoinError,
     SharedClock,
 )
+from motorhil.motorapi.locking.directory import VARIABLE as LOCK_VARIABLE
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.config.programs import ProgramDescription
@@ -92,6 +93,14 @@ class _Process:
         self.was_ended = True
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """End it, if it still runs, and its output."""
+        if self.process.poll() is None:
+            self.end()
+            self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
 
     def await_end(self) -> None:
         """Wait until its locks and files are free, which is just after its connection has ended."""
@@ -165,6 +174,7 @@ def _started(
     description = rig.description
     processes: dict[str, _Process] = {}
     with tempfile.TemporaryDirectory(prefix="motorhil-run-") as folder:
+        (Path(folder) / "locks").mkdir(mode=0o700)
 
         def notice(name: str, level: str, text: str) -> None:
             tell(f"program {name}: {text}")
@@ -187,9 +197,7 @@ def _started(
             yield processes, clock
         finally:
             for one in processes.values():
-                if one.process.poll() is None:
-                    one.end()
-                    one.process.wait()
+                one.close()
             clock.close()
 
 
@@ -206,7 +214,7 @@ def _start(
         **os.environ,
         "PYTHONPATH": path,
         "PYTHONUNBUFFERED": "1",
-        "MOTORHIL_LOCK_DIR": str(folder),
+        LOCK_VARIABLE: str(folder / "locks"),
         RIG_VARIABLE: str(source),
     }
     if program.joins:
