@@ -10,6 +10,7 @@ from motorhil.emulators.simulation.ownership_notice import unpack_owns
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
 from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter
+from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
     from motorhil.emulators.simulation.endpoints import HostPort
@@ -147,13 +148,15 @@ class Participant:
             kind = record[0]
             try:
                 if kind == records.IDLE:
-                    (_, self._ready) = records.COUNTED.unpack(record)
+                    _, self._ready = records.COUNTED.unpack(record)
+                    if not self._waits:
+                        self._depart("it gave the turn back and waits for nothing")
                     return
                 if kind == records.LEAVE:
                     self._depart("")
                     return
                 self._takers[kind](record)
-            except (KeyError, ValueError, RecordError, LengthError) as error:
+            except (KeyError, ValueError, RecordError, LengthError, UsageError) as error:
                 self._depart(f"its record {record[:24].hex()} is wrong: {error!r}")
                 return
 

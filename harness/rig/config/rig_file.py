@@ -308,11 +308,15 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         faults=read_faults(root, _on_each(buses, controllers), buses),
         stimuli=read_stimuli(root, list(controllers)),
         source=source,
-        programs=MappingProxyType(
-            {name: read_program(name, table) for name, table in _named(root, "program")}
-        ),
+        programs=MappingProxyType(_programs(root, known)),
         conformance=read_facts(root.table("conformance"), tuple(motors)),
     )
+
+
+def _programs(root: Table, known: Known) -> dict[str, ProgramDescription]:
+    """Return the programs; none of a rig that comes from elsewhere, which starts nothing."""
+    programs = {name: read_program(name, table) for name, table in _named(root, "program")}
+    return programs if known.takes_targets else {}
 
 
 def _needs_bus(root: Table, known: Known) -> bool:

@@ -158,3 +158,9 @@ def test_program_beside_the_rig_runs_on_the_wall(run):
 def test_missing_command_is_named_with_its_line(run):
     with pytest.raises(RigError, match=r'rig.toml:\d+: .*"no-such-program" cannot be started'):
         run(program("one", "no-such-program"))
+
+
+def test_programs_of_recorded_rig_are_not_started(run, tmp_path):
+    run(program("one", "python", "talker.py", "t", "1"), record=tmp_path / "run.mcap")
+    with Rig.open(tmp_path / "run.mcap") as rig:
+        assert rig.description.programs == {}

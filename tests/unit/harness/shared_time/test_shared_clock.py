@@ -30,7 +30,9 @@ def test_programs_with_shared_clock_make_frames_of_parties(tmp_path):
     for seed in range(SEEDS):
         frames, logs = require_equal(seed, tmp_path / f"{seed}")
         count += len(frames)
-        met |= {kind if isinstance(kind, str) else "frame" for log in logs.values() for *_, kind in log}
+        met |= {
+            kind if isinstance(kind, str) else "frame" for log in logs.values() for *_, kind in log
+        }
     assert count > 10 * SEEDS
     assert met >= {"wait", "send", "receive", "every", "spawn", "poll", "frame"}
 
