@@ -1,4 +1,4 @@
-"""Random programs for virtual time, run as parties of one process or as programs that share a clock.
+"""Random programs in virtual time: parties of one process, or programs that share a clock.
 
 A program of the second kind is a thread here, with a connection of its own: it has all of a
 program in another process but the process.
