@@ -30,6 +30,7 @@ COMPILED = (
     "emulators/cia402/*.py",
     "emulators/cia402/*/*.py",
     "harness/virtual_time/runtime.py",
+    "harness/shared_time/remote_runtime.py",
     "harness/python_can/receive_queue.py",
     "harness/recording/recorder.py",
     "harness/rig/recording.py",

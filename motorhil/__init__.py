@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig as Rig
+    from motorhil.harness.shared_time.remote_rig import join as join
 
-_HOMES = {"Rig": "motorhil.harness.rig.rig"}
+_HOMES = {"Rig": "motorhil.harness.rig.rig", "join": "motorhil.harness.shared_time.remote_rig"}
 
 
 def __getattr__(name: str) -> object:

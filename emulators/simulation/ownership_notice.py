@@ -23,7 +23,8 @@ Binary records follow:
                     CLOCK   | time_ns               once, first: the hub's time 0, since 1970 (UTC)
 
 A client that sends a frame that no bus can carry receives `refused REASON`, and is disconnected.
-Kinds 16 and up are reserved for sharing one virtual clock later; a receiver ignores unknown kinds.
+Kinds 16 and up belong to programs that share a rig's virtual clock, on a socket of their own; a
+receiver ignores unknown kinds.
 
 *Fencing.* An owner of a motor has a token that is greater than those of all owners before. For each
 resource of a bus, the hub keeps the greatest token in frames and ownership notices. A FENCED frame

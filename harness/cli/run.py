@@ -1,10 +1,4 @@
-"""The verb `run`: runs a script, or a prompt, with a rig around it.
-
-The program finds the rig's buses under their hardware names: while it runs in the rig's virtual
-time, every python-can interface joins the rig, except those within this process. The channel is the
-name of one of the rig's buses, or it is refused. So a program in virtual time never commands
-hardware.
-"""
+"""The verb `run`: runs a script, the programs of a rig, or a prompt, with a rig around it."""
 
 import argparse
 import builtins
@@ -18,18 +12,14 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import TYPE_CHECKING, Any, Final, Self, final
-
-import can
-from can.interfaces import BACKENDS
+from typing import TYPE_CHECKING, Final, Self, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_seed, time_ns
 from motorhil.harness.cli.printable import teller
-from motorhil.harness.python_can.bus import EmulatedBus, bus_names
+from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName
 from motorhil.harness.virtual_time.interrupts import exit_handlers
@@ -44,13 +34,11 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 _STDIN_NAME: Final = "<stdin>"
 _PATIENCE_S: Final = 1.0
-_CAN_SETTINGS: Final = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 _OWN_FOLDER: Final = str(Path(__file__).parents[3]) + os.sep
 _OWN_PACKAGES: Final = tuple(
     folder + "motorhil" + os.sep
     for folder in (_OWN_FOLDER, "")  # compiled modules do not know their path
 )
-_NO_HARDWARE: Final = ("emulated", "virtual")  # python-can interfaces that reach no hardware
 _EPILOG: Final = """\
 SCRIPT opens its bus with can.Bus(), as on real hardware: CAN_INTERFACE and CAN_CHANNEL name a bus
 of the rig. Time passes while the script waits: time.sleep, clocks, threads, locks and queues use
@@ -111,6 +99,8 @@ def run(options: argparse.Namespace) -> int:
         print(note, file=sys.stderr)
     end = _End(rig, options.until)
     try:
+        if script is None and rig.description.programs:
+            return _run_programs(rig)
         status = run_judged(rig, script, words, "run")
     except KeyboardInterrupt:
         if not end.is_reached:
@@ -119,6 +109,23 @@ def run(options: argparse.Namespace) -> int:
     if status != PASSED and script is not None:
         print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
+
+
+def _run_programs(rig: "Rig") -> int:
+    """Run the programs of the rig, each in its process; return 0 if none of them failed."""
+    from motorhil.harness.shared_time.programs import run_programs
+
+    try:
+        with rig:
+            wrong = run_programs(rig, lambda line: print(line, flush=True))
+    except (RigError, TraceError, BrokenPipeError):
+        raise
+    except Exception as error:
+        print_error(error, "<programs>")
+        return 1
+    for name, reason in wrong.items():
+        print(f"motorhil run: program {name}: {reason}", file=sys.stderr)
+    return 1 if wrong else PASSED
 
 
 @final
@@ -196,7 +203,7 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
         linecache.cache[_STDIN_NAME] = (len(script.source), None, lines, _STDIN_NAME)
     with (
         _as_main(main, script, words),
-        bus_settings(rig),
+        bus_settings(rig.description.buses),
         _Threads(rig, script.name) as threads,
         in_virtual_time(rig),
         exit_handlers() as handlers,
@@ -320,7 +327,7 @@ def run_prompt(rig: "Rig") -> int:
     with suppress(ImportError):  # without readline the prompt lacks line editing
         import readline  # noqa: F401 -- importing is all it takes
     names = {"rig": rig, "__name__": "__console__", "__doc__": None}
-    with bus_settings(rig), in_virtual_time(rig):
+    with bus_settings(rig.description.buses), in_virtual_time(rig):
         try:
             _Prompt(names).interact(_banner(rig), exitmsg="")
         except SystemExit as leaving:
@@ -344,26 +351,6 @@ def _banner(rig: "Rig") -> str:
         f"{rig.description.name}: motors {', '.join(rig.motors) or 'none'}; "
         "time passes while you wait: rig.runtime.run_for(1.0). Leave with Ctrl-D."
     )
-
-
-@contextmanager
-def bus_settings(rig: "Rig") -> Iterator[None]:
-    """Let a plain `can.Bus()` join the rig's first bus, and `can.Bus("can1")` another one.
-
-    For a rig without a bus it raises an error that says so. A hardware interface joins the rig's
-    bus with the channel's name.
-    """
-    before = {name: os.environ.pop(name, None) for name in _CAN_SETTINGS}
-    os.environ["CAN_INTERFACE"] = "emulated"
-    os.environ["CAN_CHANNEL"] = next(iter(rig.description.buses), "none")
-    try:
-        with redirect_hardware():
-            yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
 
 
 @contextmanager
@@ -444,38 +431,3 @@ def _frames_of(
 def is_own_file(filename: str) -> bool:
     """Return True if a code file belongs to these packages."""
     return filename.startswith(_OWN_PACKAGES)
-
-
-@contextmanager
-def redirect_hardware() -> Iterator[None]:
-    """Redirect `can.Bus` of any interface to the rig's bus with the channel's name."""
-    before = {name: BACKENDS[name] for name in BACKENDS if name not in _NO_HARDWARE}
-    for name in before:
-        setattr(sys.modules[__name__], _attribute(name), partial(_join, name))
-        BACKENDS[name] = (__name__, _attribute(name))
-    try:
-        yield
-    finally:
-        BACKENDS.update(before)
-
-
-def _attribute(interface: str) -> str:
-    """Return the attribute of this module that replaces an interface of python-can."""
-    return f"{interface} of the rig"
-
-
-def _join(interface: str, channel: Any = None, **options: Any) -> can.BusABC:
-    name, known = _bus_of(str(channel)), bus_names()
-    if name not in known:
-        raise can.CanInitializationError(
-            f"interface {interface!r}, channel {channel!r}: hardware cannot be reached from "
-            f"virtual time, and the rig has no bus {name} (its buses: "
-            f"{', '.join(known) or 'none'}); name one [bus.{name}], or run the program in wall "
-            "time: motorhil serve RIG -- python SCRIPT"
-        )
-    return EmulatedBus(name, told_channel=channel, **options)
-
-
-def _bus_of(channel: str) -> str:
-    """Return the rig's name for a channel: can0 for 0, ttyUSB0 for /dev/ttyUSB0."""
-    return f"can{channel}" if channel.isdecimal() else channel.rpartition("/")[2]

@@ -11,7 +11,7 @@ from typing import Final, TypeVar, final
 
 import pytest
 
-from motorhil.harness.cli.run import bus_settings, is_on_purpose, is_own_file
+from motorhil.harness.cli.run import is_on_purpose, is_own_file
 from motorhil.harness.pytest_plugin.options import (
     OPENED,
     OWN_NAMES,
@@ -19,6 +19,7 @@ from motorhil.harness.pytest_plugin.options import (
     record_folder,
     shortened,
 )
+from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName, Rig, describe
@@ -146,7 +147,7 @@ class RigOfTest:
             self.rig: Rig = Rig.open(path, seed, realtime, self.record.path)
             stack.pop_all()
             stack.enter_context(self.rig)
-            stack.enter_context(bus_settings(self.rig))
+            stack.enter_context(bus_settings(self.rig.description.buses))
             self._stack = stack.pop_all()
 
     def _path(self, parameter: object) -> tuple[Path, list[str]]:

@@ -23,7 +23,7 @@ Source: Linux include/uapi/linux/can/error.h; python-can 4.6.1, can/bus.py and i
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 import can
 from can import BusState, CanInitializationError, CanOperationError, CanProtocol, Message
@@ -51,8 +51,6 @@ from motorhil.harness.python_can.messages import to_frame, to_message
 from motorhil.harness.python_can.receive_queue import ReceiveQueue
 
 if TYPE_CHECKING:
-    from motorhil.emulators.simulation.endpoints import HostPort
-    from motorhil.emulators.simulation.world import World
     from motorhil.harness.virtual_time.runtime import VirtualRuntime
     from motorhil.motorapi.errors import MotorBusyError
     from motorhil.motorapi.runtime.api import FrameListener, Registration
@@ -62,7 +60,47 @@ _PASSIVE: Final = RX_PASSIVE | TX_PASSIVE
 _ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
 _BACKLOG_MAX: Final = 65_536
 _LONG_NS: Final = 600 * 10**9  # of an endless loop over messages
-_OPEN: dict[str, "tuple[World, VirtualRuntime]"] = {}
+_OPEN: dict[str, "tuple[Buses, VirtualRuntime, str]"] = {}
+
+
+class HostPort(Protocol):
+    """A port of an application on a bus."""
+
+    @property
+    def name(self) -> str:
+        """Its name on the bus."""
+
+    def send(self, frame: bytes) -> None:
+        """Queue the frame for the bus."""
+
+    def close(self) -> None:
+        """Stop deliveries to the application."""
+
+
+class BusFacts(Protocol):
+    """What an application needs to know of a bus."""
+
+    @property
+    def data_bitrate_bit_s(self) -> int | None:
+        """The data bit rate [bit/s]; None for classical CAN."""
+
+
+class Buses(Protocol):
+    """The buses of a rig: its World in this process, or their like in another one."""
+
+    def bus_names(self) -> list[str]:
+        """Return the names of the buses in the order of the rig."""
+
+    def bus(self, name: str) -> BusFacts:
+        """Return what is known of a bus."""
+
+    def add_host(
+        self, bus: str, name: str, on_frame: "FrameListener", on_error: "FrameListener | None", /
+    ) -> HostPort:
+        """Return an application's port on the bus, which hears every frame."""
+
+    def tell_ownership(self, bus: str, sender: str, notice: OwnershipNotice) -> None:
+        """Pass on a host's notice about the ownership of a motor."""
 
 
 def is_error(frame: bytes) -> bool:
@@ -82,8 +120,10 @@ def state_after(message: bytes, before: BusState) -> BusState:
     return before
 
 
-def open_rig(world: "World", runtime: "VirtualRuntime") -> None:
+def open_rig(world: Buses, runtime: "VirtualRuntime", shared_at: str = "") -> None:
     """Make the rig's buses available by name in this process.
+
+    `shared_at` is the socket through which processes share the rig; "": this one has it alone.
 
     Raises:
         CanInitializationError: a bus of that name is open already.
@@ -98,12 +138,12 @@ def open_rig(world: "World", runtime: "VirtualRuntime") -> None:
                 f"name; {remedy}"
             )
     for name in world.bus_names():
-        _OPEN[name] = (world, runtime)
+        _OPEN[name] = (world, runtime, shared_at)
 
 
-def close_rig(world: "World") -> None:
+def close_rig(world: Buses) -> None:
     """Withdraw the rig's buses; they can no longer be joined by name."""
-    for name in [name for name, (owner, _) in _OPEN.items() if owner is world]:
+    for name in [name for name, (owner, _, _) in _OPEN.items() if owner is world]:
         del _OPEN[name]
 
 
@@ -189,8 +229,9 @@ class EmulatedBus(can.BusABC):
         self._is_shutdown = True  # until fully open, because BusABC.__del__ reads it
         self._hub: HubLink | None = None
         self._port: HostPort | None = None
+        self._shared_at = ""
         if self.channel in _OPEN:
-            world, runtime = _OPEN[self.channel]
+            world, runtime, self._shared_at = _OPEN[self.channel]
             self.runtime: VirtualRuntime = runtime
             self._world = world
             if fd and world.bus(self.channel).data_bitrate_bit_s is None:
@@ -231,7 +272,9 @@ class EmulatedBus(can.BusABC):
 
     @property
     def hub_bus(self) -> tuple[str, str] | None:
-        """The (socket path, bus name) of the hub, or None in a rig of this process."""
+        """The (socket path, bus name) by which processes share it; None in a rig of this one."""
+        if self._shared_at:
+            return self._shared_at, self.channel
         return None if self._hub is None else (self._hub.path, self._hub.bus)
 
     @property

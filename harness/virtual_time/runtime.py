@@ -75,8 +75,10 @@ class VirtualParty:
         name: as given to `spawn`.
         error: the exception of the function once it has ended, else None.
         is_ending: True once it has been asked to end.
+        is_first: True for the first party of a program, in which Ctrl-C is raised.
         thread: its thread; None for the first party.
         ident: thread identifier, as in threading.get_ident(); UNKNOWN before it runs.
+        take_turn: runs its turn, if it is a party of another process; None in this one.
         looked_ns, owed_ns, read_ns: time of its last clock reading, cost of its readings then,
             and the clock value returned [ns].
         held_up_by: the party that holds the lock it waits for.
@@ -87,12 +89,14 @@ class VirtualParty:
         self.error: BaseException | None = None
         self.finished = False
         self.is_ending = False
+        self.is_first = False
         self.joined: bool = False
         self.baton: LockType = allocate_lock()
         self.baton.acquire()
         self.thread: threading.Thread | None = None
         self.ident = UNKNOWN
         self.held_up_by: VirtualParty | None = None
+        self.take_turn: Callable[[Waiter], None] | None = None
         self.looked_ns = self.owed_ns = self.read_ns = 0
         self._runtime = runtime
 
@@ -137,9 +141,10 @@ class _Port(Protocol):
     def transmit(self, frame: bytes) -> None: ...
 
 
-@final
 class VirtualRuntime:
     """The Runtime of a rig in virtual time. The thread that creates it is the first party.
+
+    `_run_to_next_turn` lets time pass; a runtime whose rig is in another process overrides it.
 
     A switch between parties costs about 15 us. An event with one waiting party costs no switch.
     """
@@ -150,6 +155,7 @@ class VirtualRuntime:
         self._pace = pace
         self._waiters: list[Waiter] = []
         first = VirtualParty("main", self)
+        first.is_first = True
         first.ident = threading.get_ident()
         self._parties: dict[int, VirtualParty] = {first.ident: first}
         self._spawned: list[VirtualParty] = []
@@ -211,7 +217,7 @@ class VirtualRuntime:
             raise waiter.error
         return waiter.result
 
-    def every(self, period_s: float, action: Callable[[], None]) -> Periodic:
+    def every(self, period_s: float, action: Callable[[], None]) -> "Registration":
         """Call `action` every `period_s` [s], first after one period; it must not wait."""
         if not 1e-9 <= period_s <= 1e9:
             raise UsageError(f"period_s = {period_s}: must be 1e-9 to 1e9 s")
@@ -273,6 +279,22 @@ class VirtualRuntime:
     def enrol(self, party: VirtualParty) -> None:
         """Give the party a turn at the next wait of this one; its thread is in `run_party`."""
         self._waiters.append(Waiter(party, _at_once, _NEVER))
+
+    def wait_elsewhere(
+        self, party: VirtualParty, done: Callable[[], bool], deadline_ns: int, on_parties: bool
+    ) -> Waiter:
+        """Let a party of another process wait for its turn, which is `party.take_turn`.
+
+        `deadline_ns` is -1 without a timeout. Returns the wait, which `take_turn` is called with.
+        """
+        waiter = Waiter(party, done, deadline_ns, on_parties)
+        self._waiters.append(waiter)
+        return waiter
+
+    def withdraw(self, waiter: Waiter) -> None:
+        """End a wait of `wait_elsewhere` without a turn."""
+        if waiter in self._waiters:
+            self._waiters.remove(waiter)
 
     def abandon(self, party: VirtualParty) -> None:
         """Remove the party's turn for good."""
@@ -393,12 +415,17 @@ class VirtualRuntime:
         """Run events until it is the turn of `mine` (None: of any party)."""
         self._pumping = True
         try:
-            self._in_callback = True
-            try:
-                ready = self._run_to_next_turn(self._first_deadline_ns())
-            finally:
-                self._in_callback = False
-            self._waiters.remove(ready)
+            while True:
+                self._in_callback = True
+                try:
+                    ready = self._run_to_next_turn(self._first_deadline_ns())
+                finally:
+                    self._in_callback = False
+                self._waiters.remove(ready)
+                turn = ready.party.take_turn
+                if turn is None:
+                    break
+                turn(ready)
             if ready is not mine:
                 ready.party.baton.release()
         finally:
@@ -428,7 +455,7 @@ class VirtualRuntime:
             if self._interrupted:
                 self._interrupted = False
                 for waiter in self._waiters:
-                    if waiter.party.thread is None:
+                    if waiter.party.is_first:
                         waiter.done, waiter.error = _at_once, KeyboardInterrupt()
             for waiter in self._waiters:  # in the order of their waits; the result is in the waiter
                 try:

@@ -140,7 +140,8 @@ class CanDrive:
         self._told_token = -1
         self._connecting: Final = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
-        lock = None if where is None else ProcessLock(f"{where}-node{node}", self.label)
+        name = f"{where}-node{node}"
+        lock = None if where is None else ProcessLock(name, self.label, runtime=self.runtime)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
             bus, node, self.label, owner, lock
         )

@@ -227,13 +227,13 @@ def bus_name(bus: "can.BusABC") -> str | None:
     Raises:
         UsageError: the interface no longer exists.
     """
-    if getattr(bus, "runtime", None) is not None:
+    hub = getattr(bus, "hub_bus", None)
+    if hub is None and getattr(bus, "runtime", None) is not None:
         return None  # a rig of this process, in virtual time
     raw = getattr(bus, "socket", None)
     channel = str(getattr(bus, "channel", ""))
     if isinstance(raw, socket.socket) and raw.family == socket.AF_CAN and channel:
         return socketcan_name(channel)
-    hub = getattr(bus, "hub_bus", None)
     if hub is not None:
         path, name = hub
         return hub_name(path, name)

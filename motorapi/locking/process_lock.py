@@ -13,8 +13,9 @@ expired. The holder is not notified; it notices the loss at its next check, at t
 next write.
 
 Waits use the runtime, so that a deadline, a broken bus or Ctrl-C ends them. The wall runtime can be
-woken from outside (`wake`). A runtime without it has its own virtual time, which no other process
-shares: there, a lock of another process is refused without a wait.
+woken from outside (`wake`). A runtime whose virtual time several processes share looks again after
+their turns, and gives leases its own time. A runtime with neither has its own virtual time: there,
+a lock of another process is refused without a wait.
 """
 
 import os
@@ -22,6 +23,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, NamedTuple, Protocol, final, runtime_checkable
@@ -149,7 +151,7 @@ class LockHandle:
         self._counting = threading.Lock()
         self._writers = 0
         self._lease_ns = lease_ns
-        self._end_ns = time.monotonic_ns() + lease_ns  # end of the lease
+        self._end_ns = lock.clock() + lease_ns  # end of the lease
         self._renew_ns = 0  # time of the next renewal; the first use renews
         self._loss: Loss | None = None
         self.owner: Final = owner
@@ -208,7 +210,7 @@ class LockHandle:
         """The remaining time of the lease [s]; 0 if it has expired, None without a lease."""
         if not self._lease_ns:
             return None
-        return max(0, self._end_ns - time.monotonic_ns()) / 1e9
+        return max(0, self._end_ns - self._lock.clock()) / 1e9
 
     def renew(self) -> None:
         """Restart the lease.
@@ -232,7 +234,7 @@ class LockHandle:
         file = self._file
         if self._depth > 0 and not file.is_closed and file.is_gone and self._is_replaced():
             raise self._refused("")
-        if self._lease_ns and time.monotonic_ns() >= self._renew_ns:
+        if self._lease_ns and self._lock.clock() >= self._renew_ns:
             self.renew()
 
     def set_lease(self, lease_s: float | None) -> None:
@@ -246,7 +248,7 @@ class LockHandle:
             self.end_write()
 
     def _tell_lease(self) -> None:
-        now_ns, lease_ns = time.monotonic_ns(), self._lease_ns
+        now_ns, lease_ns = self._lock.clock(), self._lease_ns
         self._renew_ns = now_ns + lease_ns // _RENEWALS_IN_USE
         self._end_ns = now_ns + lease_ns
         self._file.tell_lease(lease_ns, self._end_ns if lease_ns else 0)
@@ -277,7 +279,7 @@ class LockHandle:
         if not file.is_current or (file.is_gone and self._is_replaced()):
             file.end_write()
             raise self._refused(asker)
-        if self._lease_ns and time.monotonic_ns() >= self._renew_ns:
+        if self._lease_ns and self._lock.clock() >= self._renew_ns:
             self._tell_lease()
 
     def _await_taker(self, asker: str) -> None:
@@ -343,6 +345,17 @@ class Wakeable(Protocol):
         """Wake the waiting thread, which then checks its condition."""
 
 
+@runtime_checkable
+class SharedTime(Protocol):
+    """A runtime whose virtual time several processes share."""
+
+    def now_ns(self) -> int:
+        """Return the time [ns]."""
+
+    def watching_processes(self) -> AbstractContextManager[None]:
+        """Let waits within the block look again after each turn of another process."""
+
+
 def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
     """Wait as `Runtime.wait_until`."""
     return runtime.wait_until(done, timeout_s)
@@ -376,6 +389,7 @@ class _Acquisition:
         watcher: QueueWatcher,
         mutex: threading.Lock,
         look: Callable[[], LockView],
+        clock: Callable[[], int],
     ) -> None:
         self.takeover: TakeoverAttempt | None = None
         self._file: Final = file
@@ -383,6 +397,7 @@ class _Acquisition:
         self._watcher: Final = watcher
         self._mutex: Final = mutex  # of all that take a place
         self._look: Final = look
+        self._clock: Final = clock
         self._blocked: Attempt | None = None
 
     def take(self) -> None:
@@ -405,6 +420,10 @@ class _Acquisition:
             if isinstance(runtime, Wakeable):
                 if self._wait_woken(mine, runtime.wake):
                     return
+            elif isinstance(runtime, SharedTime):
+                with runtime.watching_processes():
+                    if request.wait(runtime, lambda: self._is_mine(mine), timeout_s):
+                        return
             elif not self._has_strangers(mine) and request.wait(
                 runtime, lambda: self._is_mine(mine), timeout_s
             ):
@@ -420,7 +439,7 @@ class _Acquisition:
 
     def _take_lapsed(self) -> bool:
         """Take over the lock if the lease of its holder has expired. Return True on success."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock()
         return 0 < self._file.line().lease_end_ns <= now_ns and self._take_over(now_ns)
 
     def _take_on_demand(self) -> None:
@@ -439,7 +458,7 @@ class _Acquisition:
 
     def _take_over(self, now_ns: int | None) -> bool:
         lease_ns = self._request.lease_ns
-        end_ns = time.monotonic_ns() + lease_ns if lease_ns else 0
+        end_ns = self._clock() + lease_ns if lease_ns else 0
         attempt = TakeoverAttempt(self._file, now_ns, self._request.describe, lease_ns, end_ns)
         result = attempt.make()
         if result is Attempt.TAKEN:
@@ -543,8 +562,9 @@ def _begin_first_write(file: LockFile, request: LockRequest) -> None:
 
 
 def can_share_time(runtime: Runtime) -> bool:
-    """Return True if another process can end a wait in this runtime: the wall runtime."""
-    return hasattr(runtime, "wake")  # as Wakeable; isinstance would take 40 us
+    """Return True if another process can end a wait in this runtime."""
+    # as Wakeable and SharedTime; isinstance would take 40 us
+    return hasattr(runtime, "wake") or hasattr(runtime, "watching_processes")
 
 
 @final
@@ -555,14 +575,24 @@ class ProcessLock:
         name: name of its file; see `motorhil.motorapi.locking.directory`.
         label: the locked object in words, for errors and lists ("can0 node 3").
         directory: its directory; None: that of the user, or from MOTORHIL_LOCK_DIR.
+        runtime: where its users wait; leases are in its time if processes share that.
     """
 
-    def __init__(self, name: str, label: str, directory: LockDirectory | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        label: str,
+        directory: LockDirectory | None = None,
+        runtime: Runtime | None = None,
+    ) -> None:
         if not name or "/" in name or name.startswith(".") or len(name.encode()) > 200:
             raise UsageError(f"lock {name!r}: must be 1 to 200 characters, no '/', no '.' in front")
         self.name: Final = name
         self.label: Final = label
         self._directory: Final = LockDirectory() if directory is None else directory
+        self.clock: Final[Callable[[], int]] = (
+            runtime.now_ns if isinstance(runtime, SharedTime) else time.monotonic_ns
+        )
         self._words: dict[str, bytes] = {}
         self.begin_anew()
         with _all_lock:
@@ -659,7 +689,7 @@ class ProcessLock:
 
     def _take(self, file: LockFile, request: LockRequest) -> TakeoverAttempt | None:
         """Acquire by waiting; return the takeover, if any. Raise MotorBusyError on timeout."""
-        acquisition = _Acquisition(file, request, self._watcher, self._mutex, self.look)
+        acquisition = _Acquisition(file, request, self._watcher, self._mutex, self.look, self.clock)
         acquisition.take()
         return acquisition.takeover
 
@@ -798,7 +828,7 @@ class ProcessLock:
             token += 1
             lease = NO_LEASE
             if lease_ns:
-                lease = LEASE.pack(lease_ns, time.monotonic_ns() + lease_ns)
+                lease = LEASE.pack(lease_ns, self.clock() + lease_ns)
             file.tell_holder(token, self._record(token, purpose, None), lease)
             if last is None:
                 is_ours = file.is_current  # else it was taken, by a token that may be smaller

@@ -14,11 +14,12 @@ settings of a controller or motor are checked by its builder; errors in them sti
     [group.NAME]                motors
     [[fault]]                   bus, kind, conditions
     [[stimulus]]                controller, name, value, at_s
+    [program.NAME]              command, and whether it shares the rig's time
     [conformance]               facts declared about the motors under test
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, Final, final
@@ -35,6 +36,7 @@ from motorhil.harness.rig.config.buses import (
 )
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts, read_facts
 from motorhil.harness.rig.config.faults import HOST, FaultDescription, read_faults
+from motorhil.harness.rig.config.programs import ProgramDescription, read_program
 from motorhil.harness.rig.config.stimuli import StimulusDescription, read_stimuli
 from motorhil.harness.rig.config.toml import (
     SEED_MAX,
@@ -61,7 +63,8 @@ from motorhil.settings import (
 )
 
 TOP_KEYS: Final = (
-    *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "conformance"),
+    *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "program"),
+    "conformance",
 )
 
 
@@ -225,6 +228,7 @@ class RigDescription:
     stimuli: tuple[StimulusDescription, ...]
     source: Source
     attached: tuple[tuple[str, str, bytes], ...] = ()
+    programs: Mapping[str, ProgramDescription] = field(default_factory=dict)
     conformance: Facts = NOTHING_DECLARED
 
     @property
@@ -304,8 +308,15 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         faults=read_faults(root, _on_each(buses, controllers), buses),
         stimuli=read_stimuli(root, list(controllers)),
         source=source,
+        programs=MappingProxyType(_programs(root, known)),
         conformance=read_facts(root.table("conformance"), tuple(motors)),
     )
+
+
+def _programs(root: Table, known: Known) -> dict[str, ProgramDescription]:
+    """Return the programs; none of a rig that comes from elsewhere, which starts nothing."""
+    programs = {name: read_program(name, table) for name, table in _named(root, "program")}
+    return programs if known.takes_targets else {}
 
 
 def _needs_bus(root: Table, known: Known) -> bool:

@@ -15,6 +15,7 @@ from motorhil.harness.rig.config.buses import AddressTable, BusTable
 from motorhil.harness.rig.config.conformance import ConformanceTable
 from motorhil.harness.rig.config.derived import TimingTable
 from motorhil.harness.rig.config.faults import FaultTable
+from motorhil.harness.rig.config.programs import ProgramTable
 from motorhil.harness.rig.config.rig_file import (
     RESERVED,
     ControllerTable,
@@ -52,6 +53,7 @@ def rig_schema() -> Schema:
             "group": _named(name, GroupTable, "Motors that move together."),
             "fault": _listed(FaultTable, "Faults of buses and lines."),
             "stimulus": _listed(StimulusTable, "Changes of physical inputs of controllers."),
+            "program": _named(name, ProgramTable, "Programs that `motorhil run RIG` starts."),
             "conformance": {"$ref": declaration(ConformanceTable)},
         },
         "anyOf": [{"required": ["bus"]}, _without_bus()],

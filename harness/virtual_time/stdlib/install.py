@@ -35,7 +35,7 @@ from multiprocessing.process import BaseProcess
 from queue import _PySimpleQueue  # type: ignore[attr-defined]  # typeshed does not know it
 from sched import scheduler
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 from motorhil.harness.virtual_time.stdlib import clocks, threads
 from motorhil.harness.virtual_time.stdlib import clocks as dates
@@ -53,7 +53,7 @@ from motorhil.harness.virtual_time.stdlib.threads import (
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
-    from motorhil.harness.rig.rig import Rig
+    from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
 _Names = Mapping[int, tuple[object, object]]
 _Methods = list[tuple[type, str, object]]
@@ -166,8 +166,20 @@ def _rebind(names: _Names) -> None:
                 namespace[name] = found[1]
 
 
+class TimedRig(Protocol):
+    """A rig, in this process or in another one, as far as its time is concerned."""
+
+    @property
+    def runtime(self) -> "VirtualRuntime":
+        """Where its programs wait."""
+
+    @property
+    def seed(self) -> int:
+        """The seed of the run."""
+
+
 @contextmanager
-def in_virtual_time(rig: "Rig") -> Iterator[None]:
+def in_virtual_time(rig: TimedRig) -> Iterator[None]:
     """Run a program in the rig's virtual time: this thread and those that it starts.
 
     `random` is seeded from the rig's seed. At the end of the block everything is restored, and

@@ -300,4 +300,7 @@ def node_locks(
     if where is None:
         return None, None
     name = f"{where}-node{node_id}"
-    return ProcessLock(name, label), ProcessLock(f"{name}-sdo", f"the SDO channel of {label}")
+    return (
+        ProcessLock(name, label, runtime=runtime),
+        ProcessLock(f"{name}-sdo", f"the SDO channel of {label}", runtime=runtime),
+    )

@@ -132,7 +132,7 @@ class AmplifierHwMotor:
         self._place = (node_id, channel)
         lock = node_locks(bus, self.runtime, node_id, self.label)[0]
         if lock is not None:  # of this motor; that of the node is in `io.occupation`
-            lock = ProcessLock(f"{lock.name}-channel{channel}", self.label)
+            lock = ProcessLock(f"{lock.name}-channel{channel}", self.label, runtime=self.runtime)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
             bus, self._place, self.label, self, lock
         )

@@ -4,7 +4,7 @@ import can
 import pytest
 from can.interfaces import BACKENDS
 
-from motorhil.harness.cli.run import bus_settings
+from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.rig import Rig
 
 RIG = """
@@ -21,7 +21,7 @@ bitrate_bit_s = 500_000
 @pytest.fixture
 def rig(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
-    with Rig.open(tmp_path / "rig.toml") as rig, bus_settings(rig):
+    with Rig.open(tmp_path / "rig.toml") as rig, bus_settings(rig.description.buses):
         yield rig
 
 
@@ -54,7 +54,7 @@ def test_interfaces_are_restored(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
     before = dict(BACKENDS)
     with Rig.open(tmp_path / "rig.toml") as rig:
-        with bus_settings(rig):
+        with bus_settings(rig.description.buses):
             changed = {name for name in before if BACKENDS[name] != before[name]}
         assert changed == {*before} - {"emulated", "virtual"}
     assert before == BACKENDS

@@ -1,0 +1,254 @@
+"""Participant: a program of another process, on the rig's side of its connection."""
+
+import socket
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Final, Protocol, final
+
+from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, as_driven
+from motorhil.emulators.simulation.ownership_notice import unpack_owns
+from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
+from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter
+from motorhil.motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    from motorhil.emulators.simulation.endpoints import HostPort
+    from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+    from motorhil.emulators.simulation.world import World
+    from motorhil.motorapi.runtime.api import Registration
+
+_FRAME_SIZES: Final = (FRAME_BYTES, FD_FRAME_BYTES)
+_PORTS_MAX: Final = 256
+_PERIODS_MAX: Final = 4096
+_PARTIES_MAX: Final = 1024
+
+
+class Seat(Protocol):
+    """What a participant needs of its rig."""
+
+    turns: int
+    """How many turns programs have had."""
+
+    @property
+    def world(self) -> "World":
+        """The rig's buses."""
+
+    @property
+    def runtime(self) -> VirtualRuntime:
+        """The rig's time."""
+
+    def receive(self, participant: "Participant") -> bytes:
+        """Return the next record of the program; b"" if it has gone."""
+
+    def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
+        """Return the notice of a program without what differs in each run."""
+
+    def departed(self, participant: "Participant", reason: str) -> None:
+        """Tell that the program has gone; `reason` is "" if it has left by itself."""
+
+
+@final
+class Participant:
+    """A program that has joined.
+
+    Attributes:
+        name: its name in the rig.
+        connection: its socket.
+        is_gone: True once it has left, or its connection is broken.
+    """
+
+    def __init__(self, name: str, connection: socket.socket, seat: Seat) -> None:
+        self.name: Final = name
+        self.connection: Final = connection
+        self.is_gone = False
+        self._seat: Final = seat
+        self._has_turn = False
+        self._ready = records.NO_WAIT
+        self._checked = 0
+        self._parties: Final[dict[int, VirtualParty]] = {}
+        self._waits: Final[dict[int, Waiter]] = {}
+        self._ports: Final[dict[int, tuple[str, HostPort]]] = {}
+        self._periods: Final[dict[int, Registration]] = {}
+        self._postponed: Final[list[bytes]] = []
+        self._takers: Final[dict[int, Callable[[bytes], None]]] = {
+            records.OPEN: self._open,
+            records.CLOSE: self._close_port,
+            records.SEND: self._submit,
+            records.NOTICE: self._note,
+            records.EVERY: self._every,
+            records.CANCEL: self._cancel,
+            records.PARTY: self._name_party,
+            records.WAIT: self._wait,
+            records.WITHDRAW: self._withdraw,
+        }
+
+    def begin(self) -> None:
+        """Let the program tell its first wait, which is for its first turn."""
+        self._serve()
+
+    # ---- the rig calls the program -----------------------------------------------------------
+
+    def _take_turn(self, waiter: Waiter) -> None:
+        """Give the program the turn for this wait; return when all its parties wait again."""
+        number = next((key for key, one in self._waits.items() if one is waiter), None)
+        if number is None or self.is_gone:
+            return
+        del self._waits[number]
+        result = Result.HOLDS if waiter.result else Result.EXPIRED
+        reason = ""
+        if isinstance(waiter.error, KeyboardInterrupt):
+            result = Result.INTERRUPTED
+        elif waiter.error is not None:
+            result, reason = Result.REFUSED, str(waiter.error)
+        now_ns = self._seat.runtime.now_ns()
+        self._has_turn = True
+        self._send(records.TURN.pack(records.GRANT, number, now_ns, result) + reason.encode())
+        self._serve()
+        self._has_turn = False
+        self._seat.turns += 1
+        while self._postponed and not self.is_gone:
+            self._call(self._postponed.pop(0))
+
+    def _call(self, record: bytes) -> None:
+        """Send a record and serve the program until it has answered."""
+        if self.is_gone:
+            return
+        if self._has_turn:  # time stands still; the program hears of it after its turn
+            self._postponed.append(record)
+            return
+        self._send(record)
+        self._serve()
+
+    def _hear(self, kind: int, port: int, frame: bytes, time_ns: int, transmitted: bool) -> None:
+        self._call(records.DELIVERY.pack(kind, port, time_ns, transmitted) + frame)
+
+    def _expire(self, number: int) -> None:
+        now_ns = self._seat.runtime.now_ns()
+        self._call(records.PERIOD.pack(records.EXPIRED, number, now_ns))
+
+    def _holds(self, number: int, asks: bool) -> bool:
+        """Return whether the condition of a wait holds; ask again after turns of others."""
+        if self.is_gone:
+            return True  # its turn does nothing
+        if asks and self._checked != self._seat.turns:
+            self._checked = self._seat.turns
+            self._call(records.CALL.pack(records.CHECK, self._seat.runtime.now_ns()))
+        return self._ready == number
+
+    # ---- the program calls the rig -----------------------------------------------------------
+
+    def _serve(self) -> None:
+        """Take records of the program until it is idle, or has gone."""
+        while not self.is_gone:
+            record = self._seat.receive(self)
+            if not record:
+                self._depart("its connection has ended")
+                return
+            kind = record[0]
+            try:
+                if kind == records.IDLE:
+                    _, self._ready = records.COUNTED.unpack(record)
+                    if not self._waits:
+                        self._depart("it gave the turn back and waits for nothing")
+                    return
+                if kind == records.LEAVE:
+                    self._depart("")
+                    return
+                self._takers[kind](record)
+            except (KeyError, ValueError, RecordError, LengthError, UsageError) as error:
+                self._depart(f"its record {record[:24].hex()} is wrong: {error!r}")
+                return
+
+    def _send(self, record: bytes) -> None:
+        try:
+            self.connection.send(record)
+        except OSError as error:
+            self._depart(f"its connection has ended ({error.strerror or error})")
+
+    def _open(self, record: bytes) -> None:
+        _, fd = records.NUMBERED.unpack_from(record)
+        bus = records.text_of(record, records.NUMBERED.size)
+        number = len(self._ports)
+        world = self._seat.world
+        if bus not in world.bus_names() or number == _PORTS_MAX:
+            raise RecordError(f"bus {bus!r} cannot be opened")
+        hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
+
+        def hear_classical(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            if len(frame) == FRAME_BYTES:
+                hear(frame, time_ns, transmitted)
+
+        port = world.add_host(bus, "host", hear if fd else hear_classical, told)
+        self._ports[number] = bus, port
+        self._send(records.numbered(records.OPENED, number, port.name))
+
+    def _port(self, record: bytes) -> "tuple[str, HostPort]":
+        _, number = records.NUMBERED.unpack_from(record)
+        return self._ports[number]
+
+    def _close_port(self, record: bytes) -> None:
+        self._port(record)[1].close()
+
+    def _submit(self, record: bytes) -> None:
+        frame = record[records.NUMBERED.size :]
+        if len(frame) not in _FRAME_SIZES:
+            raise RecordError(f"frame of {len(frame)} bytes")
+        self._port(record)[1].send(as_driven(frame))
+
+    def _note(self, record: bytes) -> None:
+        bus, port = self._port(record)
+        notice = unpack_owns(record[records.NUMBERED.size :])
+        if notice is None:
+            raise RecordError("notice")
+        self._seat.world.tell_ownership(
+            bus, port.name, self._seat.repeatable(bus, notice, self.name)
+        )
+
+    def _every(self, record: bytes) -> None:
+        _, number, period_ns = records.PERIOD.unpack(record)
+        if len(self._periods) == _PERIODS_MAX:
+            raise RecordError(f"more than {_PERIODS_MAX} periods")
+        expire = partial(self._expire, number)
+        self._periods[number] = self._seat.runtime.every(period_ns / 1e9, expire)
+
+    def _cancel(self, record: bytes) -> None:
+        _, number = records.COUNTED.unpack(record)
+        self._periods.pop(number).cancel()
+
+    def _name_party(self, record: bytes) -> None:
+        _, number = records.NUMBERED.unpack_from(record)
+        if len(self._parties) == _PARTIES_MAX:
+            raise RecordError(f"more than {_PARTIES_MAX} parties")
+        own = records.text_of(record, records.NUMBERED.size)
+        party = VirtualParty(f"{self.name}/{own}" if number else self.name, self._seat.runtime)
+        party.is_first = number == 0
+        party.take_turn = self._take_turn
+        self._parties[number] = party
+
+    def _wait(self, record: bytes) -> None:
+        _, number, party, flags, deadline_ns = records.WAITING.unpack(record)
+        done = partial(self._holds, number, bool(flags & WaitFlags.PROCESSES))
+        on_parties = bool(flags & WaitFlags.PARTIES)
+        runtime = self._seat.runtime
+        self._waits[number] = runtime.wait_elsewhere(
+            self._parties[party], done, deadline_ns, on_parties
+        )
+
+    def _withdraw(self, record: bytes) -> None:
+        _, number = records.COUNTED.unpack(record)
+        self._seat.runtime.withdraw(self._waits.pop(number))
+
+    # ---- its end -----------------------------------------------------------------------------
+
+    def _depart(self, reason: str) -> None:
+        """End its part: no call, no turn, no period; frames that are queued are still sent."""
+        if self.is_gone:
+            return
+        self.is_gone = True
+        for period in self._periods.values():
+            period.cancel()
+        for _, port in self._ports.values():
+            port.close()
+        self.connection.close()
+        self._seat.departed(self, reason)

@@ -1,0 +1,232 @@
+"""The programs of a rig: started, given turns, watched and ended, each in a process of its own.
+
+Output is printed line by line, with the program's name before it, in the order of the turns. Python
+programs join before their first line; others join by `motorhil.join()`, or by the protocol of
+`motorhil.harness.shared_time.records`.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.shared_time.shared_clock import (
+    RIG_VARIABLE,
+    VARIABLE,
+    JoinError,
+    SharedClock,
+)
+from motorhil.motorapi.locking.directory import VARIABLE as LOCK_VARIABLE
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.config.programs import ProgramDescription
+    from motorhil.harness.rig.rig import Rig
+
+_SITE: Final = Path(__file__).parent / "site"
+_GRACE_S: Final = 5.0
+_CHUNK: Final = 65_536
+
+
+@final
+class _Process:
+    """A running program.
+
+    Attributes:
+        description: its table in the rig.
+        process: itself.
+        was_ended: True once this process has killed it.
+    """
+
+    def __init__(
+        self,
+        description: "ProgramDescription",
+        environment: Mapping[str, str],
+        folder: Path,
+        tell: Callable[[str], None],
+    ) -> None:
+        self.description: Final = description
+        self.was_ended = False
+        self._tell: Final = tell
+        self._line = b""
+        command = list(description.command)
+        if command[0] in ("python", "python3"):
+            command[0] = sys.executable
+        self.process: Final = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        assert self.process.stdout is not None
+        self.fd: Final[int] = self.process.stdout.fileno()
+        os.set_blocking(self.fd, False)
+
+    def drain(self) -> bool:
+        """Print the lines of output that are there; return False at the end of the output."""
+        while True:
+            try:
+                read = os.read(self.fd, _CHUNK)
+            except BlockingIOError:
+                return True
+            *lines, self._line = (self._line + read).split(b"\n")
+            if not read and self._line:
+                lines, self._line = [self._line], b""
+            for line in lines:
+                text = line.decode("utf-8", "replace").rstrip("\r")
+                self._tell(f"{self.description.name}: {text}")
+            if not read:
+                return False
+
+    def end(self) -> None:
+        """Kill it and its children."""
+        self.was_ended = True
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """End it, if it still runs, and its output."""
+        if self.process.poll() is None:
+            self.end()
+            self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+    def await_end(self) -> None:
+        """Wait until its locks and files are free, which is just after its connection has ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_GRACE_S)
+
+    def wait(self, until_s: float) -> int:
+        """Return its exit status; kill it at `until_s` of the monotonic clock."""
+        try:
+            status = self.process.wait(max(0.0, until_s - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            self.end()
+            status = self.process.wait()
+        self.drain()
+        return status
+
+
+def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
+    """Start the rig's programs and let virtual time pass until all of them have ended.
+
+    Args:
+        rig: the open rig, at time 0.
+        tell: called with each line of output and each notice.
+
+    Returns:
+        What was wrong with each program, by name; empty if all ended as they should.
+
+    Raises:
+        RigError: a program cannot be started, or does not join; all are ended.
+    """
+    with _started(rig, tell) as (processes, clock):
+        joining = [one.name for one in rig.description.programs.values() if one.joins]
+        try:
+            clock.await_programs(joining, lambda name: processes[name].process.poll() is None)
+        except JoinError as error:
+            for one in processes.values():
+                one.drain()
+            raise RigError(rig.description.source.path, str(error)) from None
+        try:
+            rig.runtime.wait_for_parties(clock.are_gone)
+        except KeyboardInterrupt:
+            rig.runtime.wait_for_parties(clock.are_gone)  # each has had it in its wait
+            raise
+        until_s = time.monotonic() + _GRACE_S
+        wrong: dict[str, str] = {}
+        for name, one in processes.items():
+            if not one.description.joins:
+                one.end()
+            status = one.wait(until_s)
+            reason = _failure(one, status, clock.left.get(name, ""))
+            if reason:
+                wrong[name] = reason
+        return wrong
+
+
+def _failure(one: _Process, status: int, reason: str) -> str:
+    """Return what was wrong with the end of a program, or ""."""
+    if not one.description.joins or one.description.may_leave:
+        return ""
+    if status < 0:
+        return f"ended by {signal.Signals(-status).name}"
+    if status:
+        return f"exit status {status}"
+    return reason
+
+
+@contextmanager
+def _started(
+    rig: "Rig", tell: Callable[[str], None]
+) -> Iterator[tuple[dict[str, _Process], SharedClock]]:
+    description = rig.description
+    processes: dict[str, _Process] = {}
+    with tempfile.TemporaryDirectory(prefix="motorhil-run-") as folder:
+        (Path(folder) / "locks").mkdir(mode=0o700)
+
+        def notice(name: str, level: str, text: str) -> None:
+            tell(f"program {name}: {text}")
+            rig.world.report(rig.runtime.now_ns(), level, name, text)
+
+        clock = SharedClock(
+            rig.world,
+            rig.runtime,
+            Path(folder) / "clock",
+            seed=rig.seed,
+            tell=notice,
+            stalls_s={name: one.stall_s for name, one in description.programs.items()},
+            end=lambda name: processes[name].end(),
+            await_end=lambda name: processes[name].await_end(),
+        )
+        try:
+            for program in description.programs.values():
+                processes[program.name] = _start(rig, program, clock, Path(folder), tell)
+                clock.watch(processes[program.name].fd, processes[program.name].drain)
+            yield processes, clock
+        finally:
+            for one in processes.values():
+                one.close()
+            clock.close()
+
+
+def _start(
+    rig: "Rig",
+    program: "ProgramDescription",
+    clock: SharedClock,
+    folder: Path,
+    tell: Callable[[str], None],
+) -> _Process:
+    source = rig.description.source.path.resolve()
+    path = f"{_SITE}{os.pathsep}{os.environ.get('PYTHONPATH', '')}".rstrip(os.pathsep)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": path,
+        "PYTHONUNBUFFERED": "1",
+        LOCK_VARIABLE: str(folder / "locks"),
+        RIG_VARIABLE: str(source),
+    }
+    if program.joins:
+        environment[VARIABLE] = f"{clock.path}#{program.name}"
+    word = program.command[0]
+    try:
+        return _Process(program, environment, source.parent, tell)
+    except OSError as error:
+        known = shutil.which(word) is not None
+        remedy = "make it executable" if known else "name an installed program, or its path"
+        raise rig.description.error(
+            ("program", program.name, "command"),
+            f'"{word}" cannot be started: {error.strerror or error}',
+            remedy,
+        ) from None

@@ -1,0 +1,97 @@
+"""Buses of a rig in another process, as its programs see them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice, pack_owns
+from motorhil.harness.shared_time import records
+from motorhil.motorapi.errors import UsageError
+
+if TYPE_CHECKING:
+    from motorhil.emulators.simulation.endpoints import HostListener
+    from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RemoteBus:
+    """What a program knows of a bus: its data bit rate [bit/s], None for classical CAN."""
+
+    data_bitrate_bit_s: int | None
+
+
+@final
+class RemotePort:
+    """A program's port on a bus of the rig.
+
+    Attributes:
+        name: its name on the bus.
+        number: its number on the connection.
+    """
+
+    def __init__(self, name: str, number: int, link: "RemoteLink", runtime: "RemoteRuntime"):
+        self.name: Final = name
+        self.number: Final = number
+        self._link: Final = link
+        self._runtime: Final = runtime
+        self._head: Final = records.NUMBERED.pack(records.SEND, number)
+
+    def send(self, frame: bytes) -> None:
+        """Queue the frame for the bus."""
+        self._link.send(self._head + frame)
+
+    def close(self) -> None:
+        """Stop deliveries to the program; queued frames are still sent."""
+        if self._runtime.ports.pop(self.number, None) is not None and self._link.is_open:
+            self._link.send(records.NUMBERED.pack(records.CLOSE, self.number))
+
+
+@final
+class RemoteWorld:
+    """The buses of the rig."""
+
+    def __init__(
+        self, buses: Mapping[str, int | None], link: "RemoteLink", runtime: "RemoteRuntime"
+    ) -> None:
+        self._buses: Final = {name: RemoteBus(rate) for name, rate in buses.items()}
+        self._link: Final = link
+        self._runtime: Final = runtime
+        self._ports: dict[str, RemotePort] = {}
+
+    def bus_names(self) -> list[str]:
+        """Return the names of the buses in the order of the rig."""
+        return list(self._buses)
+
+    def bus(self, name: str) -> RemoteBus:
+        """Return what is known of a bus."""
+        return self._buses[name]
+
+    def add_host(
+        self,
+        bus: str,
+        name: str,
+        on_frame: "HostListener",
+        on_error: "HostListener | None" = None,
+    ) -> RemotePort:
+        """Return a port of this program on the bus; raises UsageError if the rig has ended.
+
+        A program opens its buses in its own turn, never in a callback.
+        """
+        if self._runtime.is_in_callback():
+            raise UsageError(
+                f"bus {bus}: opened in a callback; expected a turn of the program; open it before"
+            )
+        fd = self._buses[bus].data_bitrate_bit_s is not None
+        self._link.send(records.numbered(records.OPEN, int(fd), bus))
+        record = self._link.receive()
+        _, number = records.NUMBERED.unpack_from(record)
+        told = records.text_of(record, records.NUMBERED.size)
+        self._runtime.ports[number] = on_frame, on_error or on_frame
+        port = self._ports[told] = RemotePort(told, number, self._link, self._runtime)
+        return port
+
+    def tell_ownership(self, bus: str, sender: str, notice: OwnershipNotice) -> None:
+        """Pass on a notice of this program about the ownership of a motor."""
+        head = records.NUMBERED.pack(records.NOTICE, self._ports[sender].number)
+        self._link.send(head + pack_owns(notice))

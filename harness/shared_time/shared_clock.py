@@ -1,0 +1,237 @@
+"""Shared clock: the rig's virtual time for programs in other processes.
+
+Programs connect to a UNIX socket and join by name. All have joined before time 0, and take their
+turns in the order of the rig file, whoever connected first. Then each is a party of the rig, as a
+thread of this process would be, so that both make the same record.
+
+Only here a wall clock is read: to end the wait for a program that does not join, and to tell of one
+that keeps the turn.
+"""
+
+import contextlib
+import json
+import os
+import re
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, final
+
+from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time.participant import Participant
+
+if TYPE_CHECKING:
+    from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+    from motorhil.emulators.simulation.world import World
+    from motorhil.harness.virtual_time.runtime import VirtualRuntime
+
+VARIABLE: Final = "MOTORHIL_CLOCK"
+"""Environment variable of programs: PATH#NAME, the clock's socket and the program's name."""
+RIG_VARIABLE: Final = "MOTORHIL_RIG"
+"""Environment variable of programs: the rig file."""
+JOIN_S: Final = 10.0
+_LOOK_S: Final = 0.1
+_PEER: Final = struct.Struct("3i")  # pid, uid, gid
+_PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
+
+
+@final
+class JoinError(Exception):
+    """Programs did not join; the message names them."""
+
+
+@final
+class SharedClock:
+    """The socket that programs join, and the programs that have joined.
+
+    Args:
+        world: the rig's buses.
+        runtime: the rig's time.
+        path: of the socket, which is created.
+        seed: of the run.
+        tell: called with (program, level, sentence) for what happens to programs.
+        stalls_s: how long each program may keep the turn, on the wall clock [s].
+        end: ends the program of this name, which keeps it longer.
+        await_end: waits for the end of the process of this name, whose connection has ended.
+
+    Attributes:
+        turns: how many turns programs have had.
+        left: the programs that have gone, with the reason; "" for those that left by themselves.
+    """
+
+    def __init__(
+        self,
+        world: "World",
+        runtime: "VirtualRuntime",
+        path: Path,
+        *,
+        seed: int,
+        tell: Callable[[str, str, str], None],
+        stalls_s: Mapping[str, float],
+        end: Callable[[str], None],
+        await_end: Callable[[str], None],
+    ) -> None:
+        self.world: Final = world
+        self.runtime: Final = runtime
+        self.path: Final = path
+        self.turns = 0
+        self.left: dict[str, str] = {}
+        self._seed: Final = seed
+        self._tell: Final = tell
+        self._stalls_s: Final = stalls_s
+        self._end: Final = end
+        self._await_end: Final = await_end
+        self._programs: list[Participant] = []
+        self._poll: Final = select.poll()
+        self._outputs: dict[int, Callable[[], bool]] = {}
+        self._listener: Final = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        mask = os.umask(0o177)
+        try:
+            self._listener.bind(str(path))
+        finally:
+            os.umask(mask)
+        self._listener.listen()
+        self._tokens: dict[tuple[str, int], list[int]] = {}
+        self._pids: dict[int, str] = {}
+
+    def watch(self, fd: int, take: Callable[[], bool]) -> None:
+        """Call `take` when `fd` is readable, until it returns False."""
+        self._outputs[fd] = take
+        self._poll.register(fd, select.POLLIN)
+
+    def await_programs(self, names: Sequence[str], is_alive: Callable[[str], bool]) -> None:
+        """Wait until all of these programs have joined; then let them wait for their first turns.
+
+        Raises:
+            JoinError: one has not joined within 10 s, or has ended; names it.
+        """
+        joined: dict[str, Participant] = {}
+        until_s = time.monotonic() + JOIN_S
+        while len(joined) < len(names):
+            missing = [name for name in names if name not in joined]
+            dead = [name for name in missing if not is_alive(name)]
+            if dead or time.monotonic() > until_s:
+                self._programs = list(joined.values())
+                who = ", ".join(dead or missing)
+                why = "ended before it joined" if dead else f"did not join within {JOIN_S:g} s"
+                raise JoinError(
+                    f"program {who}: {why}; expected one that joins the rig's time: a Python"
+                    " program, or one that calls motorhil.join(); joins = false lets it run beside"
+                )
+            found = self._accept(missing)
+            if found is not None:
+                joined[found.name] = found
+        self._programs = [joined[name] for name in names]
+        for program in self._programs:
+            self._poll.register(program.connection, select.POLLIN)
+            program.begin()
+
+    def _accept(self, missing: Sequence[str]) -> Participant | None:
+        door = self._listener.fileno()
+        ready = select.select([door, *self._outputs], [], [], _LOOK_S)[0]
+        for one in ready:
+            if one != door:
+                self._take(one)
+        if door not in ready:
+            return None
+        connection, _ = self._listener.accept()
+        connection.settimeout(JOIN_S)
+        try:
+            record = connection.recv(records.RECORD_MAX)
+        except OSError:
+            record = b""
+        refusal, name = _refusal(record, missing)
+        if refusal:
+            with contextlib.suppress(OSError):
+                connection.send(bytes([records.REFUSED]) + refusal.encode())
+            connection.close()
+            return None
+        connection.settimeout(None)
+        peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+        self._pids[_PEER.unpack(peer)[0]] = name
+        buses = {bus: self.world.bus(bus).data_bitrate_bit_s for bus in self.world.bus_names()}
+        head = records.WELCOMED.pack(
+            records.WELCOME, records.VERSION, self.runtime.now_ns(), self._seed
+        )
+        connection.send(head + json.dumps(buses).encode())
+        return Participant(name, connection, self)
+
+    def are_gone(self) -> bool:
+        """Return whether all programs have left."""
+        return all(program.is_gone for program in self._programs)
+
+    def receive(self, participant: Participant) -> bytes:
+        """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
+        connection = participant.connection
+        stall_s = self._stalls_s[participant.name]
+        asked_s = told_s = 0.0
+        while True:
+            ready = self._poll.poll(1000.0 * _LOOK_S)
+            for fd, _ in ready:
+                if fd in self._outputs:
+                    self._take(fd)
+            if any(fd == connection.fileno() for fd, _ in ready):
+                try:
+                    return connection.recv(records.RECORD_MAX)
+                except OSError:
+                    return b""
+            now_s = time.monotonic()
+            asked_s = asked_s or now_s
+            if now_s - asked_s > stall_s and not told_s:
+                told_s = now_s
+                self._tell(
+                    participant.name,
+                    "error",
+                    f"has kept the turn for {stall_s:g} s of wall time, and no virtual time"
+                    " passes; expected a wait; it is killed",
+                )
+                self._end(participant.name)
+            if told_s and now_s - told_s > stall_s:
+                return b""  # it cannot be killed: its connection is closed
+
+    def _take(self, fd: int) -> None:
+        if not self._outputs[fd]():
+            del self._outputs[fd]
+            self._poll.unregister(fd)
+
+    def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
+        """Return a program's notice with names for process IDs, and tokens counted from 1."""
+        known = self._tokens.setdefault((bus, notice.resource), [])
+        if notice.token and notice.token not in known:
+            known.append(notice.token)
+        token = known.index(notice.token) + 1 if notice.token else 0
+        holder = _PROCESS.sub(lambda found: self._pids.get(int(found[1]), found[0]), notice.holder)
+        return replace(notice, token=token, holder=holder, pid=0, program=name)
+
+    def departed(self, participant: Participant, reason: str) -> None:
+        """Note that a program has gone."""
+        with contextlib.suppress(KeyError, ValueError):
+            self._poll.unregister(participant.connection)
+        self.left[participant.name] = reason
+        if reason:
+            self._await_end(participant.name)
+            self._tell(participant.name, "warning", f"has left the rig: {reason}")
+
+    def close(self) -> None:
+        """Close all connections and remove the socket."""
+        for program in self._programs:
+            program.connection.close()
+        self._listener.close()
+        self.path.unlink(missing_ok=True)
+
+
+def _refusal(record: bytes, missing: Sequence[str]) -> tuple[str, str]:
+    """Return why a JOIN is refused, or "", and the name."""
+    if len(record) < records.NUMBERED.size or record[0] != records.JOIN:
+        return "expected JOIN", ""
+    _, version = records.NUMBERED.unpack_from(record)
+    name = records.text_of(record, records.NUMBERED.size)
+    if version != records.VERSION:
+        return f"protocol {version}: unknown; expected {records.VERSION}", name
+    if name not in missing:
+        return f"program {name!r}: not awaited; expected one of {', '.join(missing)}", name
+    return "", name

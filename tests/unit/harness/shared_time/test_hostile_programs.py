@@ -1,0 +1,122 @@
+"""Programs that do not keep to the protocol are told by name, and end nothing else."""
+
+import socket
+import threading
+from random import Random
+
+import pytest
+
+from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time.shared_clock import JoinError
+from tests.support.shared_programs import begin, guest, new_world, shared_clock
+
+CASES = 150
+KINDS = [*range(records.JOIN, records.LEAVE + 1), 0, 1, 33, 255]
+
+
+def joined(path, name):
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    connection.connect(str(path))
+    connection.send(records.numbered(records.JOIN, records.VERSION, name))
+    assert connection.recv(records.RECORD_MAX)[0] == records.WELCOME
+    return connection
+
+
+def first_turn(connection):
+    connection.send(records.numbered(records.PARTY, 0, "main"))
+    connection.send(records.WAITING.pack(records.WAIT, 1, 0, 0, records.NO_DEADLINE))
+    connection.send(records.COUNTED.pack(records.IDLE, 1))
+    assert connection.recv(records.RECORD_MAX)[0] == records.GRANT
+
+
+def run_with(path, body):
+    """Run `body` beside a well-behaved program; return what was told."""
+    world, runtime, frames = new_world()
+    told, log = [], []
+    clock = shared_clock(world, runtime, path, told, {"good": 60.0, "bad": 0.2})
+    good = [("wait", 1e-3, 0), ("send", 0.0, 1), ("wait", 1e-3, 0), ("send", 0.0, 2)]
+    threads = [
+        threading.Thread(
+            target=guest, args=(path, "good", lambda r, w: begin(r, w, "good", good, log))
+        ),
+        threading.Thread(target=body, args=(path,)),
+    ]
+    try:
+        for thread in threads:
+            thread.start()
+        clock.await_programs(["good", "bad"], lambda name: True)
+        runtime.wait_for_parties(clock.are_gone)
+        for thread in threads:
+            thread.join()
+    finally:
+        clock.close()
+        runtime.close()
+    assert [kind for *_, kind in log] == ["wait", "send", "wait", "send"]
+    assert len(frames) >= 2
+    return clock.left, told
+
+
+def test_random_records_end_their_program_alone(tmp_path):
+    reasons = set()
+    for seed in range(CASES):
+        random = Random(seed)
+
+        def bad(path, random=random):
+            with joined(path, "bad") as connection:
+                if random.random() < 0.8:
+                    first_turn(connection)
+                try:
+                    for _ in range(random.randint(1, 6)):
+                        kind = random.choice(KINDS)
+                        connection.send(bytes([kind]) + random.randbytes(random.randint(0, 24)))
+                except OSError:
+                    pass
+
+        left, told = run_with(tmp_path / f"{seed}", bad)
+        assert left["good"] == ""
+        assert len(told) <= 1
+        reasons.add(left["bad"].partition("record")[0] + left["bad"].rpartition(" ")[2])
+    assert len(reasons) > 3, reasons
+
+
+def test_silent_program_is_told_and_its_connection_closed(tmp_path):
+    def bad(path):
+        with joined(path, "bad") as connection:
+            first_turn(connection)
+            assert connection.recv(1) == b""
+
+    left, told = run_with(tmp_path / "clock", bad)
+    assert left["bad"] == "its connection has ended"
+    assert [(name, level) for name, level, _ in told] == [("bad", "error"), ("bad", "warning")]
+    assert "has kept the turn for 0.2 s" in told[0][2]
+
+
+@pytest.mark.parametrize(
+    ("record", "reason"),
+    [
+        (b"hello", "expected JOIN"),
+        (records.numbered(records.JOIN, 9, "bad"), "protocol 9: unknown; expected 1"),
+        (records.numbered(records.JOIN, 1, "other"), "program 'other': not awaited"),
+    ],
+)
+def test_refused_program_hears_why(tmp_path, record, reason):
+    heard = []
+
+    def refused(path):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+            connection.connect(str(path))
+            connection.send(record)
+            heard.append(connection.recv(records.RECORD_MAX))
+
+    world, runtime, _ = new_world()
+    clock = shared_clock(world, runtime, tmp_path / "clock", [], {"bad": 1.0})
+    thread = threading.Thread(target=refused, args=(tmp_path / "clock",))
+    thread.start()
+    looks = iter((True, True, True, False))
+    with pytest.raises(JoinError, match="program bad: ended before it joined"):
+        clock.await_programs(["bad"], lambda name: next(looks, False))
+    thread.join()
+    clock.close()
+    runtime.close()
+    assert heard[0][0] == records.REFUSED
+    assert reason in heard[0].decode()

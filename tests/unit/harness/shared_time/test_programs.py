@@ -1,0 +1,166 @@
+"""Programs of a rig in processes of their own, started by `motorhil run RIG`."""
+
+import pytest
+
+from motorhil.harness.rig.config.scaffold import EXAMPLES
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.shared_time.programs import run_programs
+from motorhil.traces.digest import digest
+
+pytestmark = pytest.mark.wall
+
+RIG = """
+[bus.can0]
+bitrate_bit_s = 500_000
+node = { listener = { silent = true } }
+"""
+TALKER = """
+import sys, time, can
+name, count = sys.argv[1], int(sys.argv[2])
+bus = can.Bus()
+for number in range(count):
+    bus.send(can.Message(arbitration_id=0x100 + number, data=name.encode(), is_extended_id=False))
+    time.sleep(0.01)
+    print(name, number, f"{time.monotonic() % 1000:.3f}")
+bus.shutdown()
+"""
+OWNER = """
+import os, sys, motorhil
+from motorhil.motorapi import ControlMode
+rig = motorhil.join()
+wheel = rig.motors["left"]
+for number in range(3):
+    with wheel.reserve(timeout_s=30):
+        wheel.set_control_mode(ControlMode.SETPOINT)
+        wheel.set_setpoint(float(sys.argv[1]) * (number + 1))
+        wheel.start()
+        wheel.wait_until_done(timeout_s=5)
+        if sys.argv[2] == str(number):
+            os.kill(os.getpid(), 9)
+        print(number, f"{wheel.position():.3f}")
+    rig.runtime.run_for(0.001)
+"""
+
+
+def program(name, *words, **keys):
+    command = ", ".join(f'"{word}"' for word in words)
+    extra = "".join(f"{key} = {value}\n" for key, value in keys.items())
+    return f"[program.{name}]\ncommand = [{command}]\n{extra}"
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return a function that runs programs and returns (output, failures, rig)."""
+    (tmp_path / "talker.py").write_text(TALKER)
+    (tmp_path / "owner.py").write_text(OWNER)
+
+    def run(*programs, base=RIG, record=None):
+        (tmp_path / "rig.toml").write_text(base + "".join(programs))
+        lines = []
+        with Rig.open(tmp_path / "rig.toml", record=record) as rig:
+            wrong = run_programs(rig, lines.append)
+        return lines, wrong
+
+    return run
+
+
+def test_output_is_named_and_in_order_of_virtual_time(run):
+    lines, wrong = run(
+        program("slow", "python", "talker.py", "s", "2"),
+        program("fast", "python", "talker.py", "f", "3"),
+    )
+    assert wrong == {}
+    assert [line.rpartition(" ")[0] for line in lines] == [
+        *("slow: s 0", "fast: f 0", "slow: s 1", "fast: f 1", "fast: f 2"),
+    ]
+
+
+def test_two_runs_of_programs_that_share_motor_make_one_record(run, tmp_path):
+    base = (EXAMPLES / "two_wheels.toml").read_text()
+    base = base.replace('"wheel_model.toml"', f'"{EXAMPLES / "wheel_model.toml"}"')
+    programs = [
+        program("one", "python", "owner.py", "0.3", "-"),
+        program("two", "python", "owner.py", "-0.3", "-"),
+    ]
+    digests = set()
+    for name in ("first", "second"):
+        lines, wrong = run(*programs, base=base, record=tmp_path / f"{name}.mcap")
+        assert wrong == {}
+        assert lines == [
+            *("one: 0 0.300", "two: 0 -0.300", "one: 1 0.600"),
+            *("two: 1 -0.600", "one: 2 0.900", "two: 2 -0.900"),
+        ]
+        digests.add(digest(tmp_path / f"{name}.mcap"))
+    assert len(digests) == 1
+
+
+def test_motor_of_killed_program_passes_to_the_next(run):
+    base = (EXAMPLES / "two_wheels.toml").read_text()
+    base = base.replace('"wheel_model.toml"', f'"{EXAMPLES / "wheel_model.toml"}"')
+    lines, wrong = run(
+        program("one", "python", "owner.py", "0.3", "1"),
+        program("two", "python", "owner.py", "-0.3", "-"),
+        base=base,
+    )
+    assert wrong == {"one": "ended by SIGKILL"}
+    assert "program one: has left the rig: its connection has ended" in lines
+    assert lines[-1] == "two: 2 -0.900"
+
+
+def test_program_that_may_leave_is_no_failure(run):
+    source = "import os, time; time.sleep(0.01); os.kill(os.getpid(), 9)"
+    _, wrong = run(
+        program("one", "python", "-c", source, may_leave="true"),
+        program("two", "python", "talker.py", "t", "3"),
+    )
+    assert wrong == {}
+
+
+def test_program_that_keeps_the_turn_is_named_and_killed(run):
+    source = "import time; time.sleep(0.01)\nwhile True: pass".replace("\n", "\\n")
+    lines, wrong = run(
+        program("spins", "python", "-c", source, stall_s=0.5),
+        program("two", "python", "talker.py", "t", "3"),
+    )
+    assert wrong == {"spins": "ended by SIGKILL"}
+    (told,) = [line for line in lines if "has kept the turn for 0.5 s" in line]
+    assert told.startswith("program spins: ")
+    assert lines[-1].startswith("two: t 2")
+
+
+def test_exit_status_and_exception_are_failures(run):
+    lines, wrong = run(
+        program("exits", "python", "-c", "raise SystemExit(3)"),
+        program("raises", "python", "-c", "1 / 0"),
+    )
+    assert wrong == {"exits": "exit status 3", "raises": "exit status 1"}
+    assert "raises: ZeroDivisionError: division by zero" in lines
+
+
+def test_program_that_does_not_join_ends_the_run_with_its_name(run):
+    with pytest.raises(RigError, match=r"program shell: ended before it joined; expected"):
+        run(
+            program("shell", "true"),
+            program("two", "python", "talker.py", "t", "3"),
+        )
+
+
+def test_program_beside_the_rig_runs_on_the_wall(run):
+    lines, wrong = run(
+        program("shell", "sh", "-c", "echo here", joins="false"),
+        program("two", "python", "talker.py", "t", "1"),
+    )
+    assert wrong == {}
+    assert "shell: here" in lines
+
+
+def test_missing_command_is_named_with_its_line(run):
+    with pytest.raises(RigError, match=r'rig.toml:\d+: .*"no-such-program" cannot be started'):
+        run(program("one", "no-such-program"))
+
+
+def test_programs_of_recorded_rig_are_not_started(run, tmp_path):
+    run(program("one", "python", "talker.py", "t", "1"), record=tmp_path / "run.mcap")
+    with Rig.open(tmp_path / "run.mcap") as rig:
+        assert rig.description.programs == {}

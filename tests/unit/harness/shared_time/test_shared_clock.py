@@ -1,0 +1,50 @@
+"""Programs that share a clock make what parties of one process make."""
+
+from random import Random
+
+import pytest
+
+from tests.support.shared_programs import in_one_process, steps, with_shared_clock
+
+SEEDS = 40
+MORE = 1_000
+
+
+def programs_of(seed):
+    random = Random(seed)
+    return {name: steps(random) for name in ("one", "two", "three")[: random.randint(2, 3)]}
+
+
+def require_equal(seed, path):
+    programs = programs_of(seed)
+    frames, logs = in_one_process(programs)
+    names = list(programs)
+    Random(seed).shuffle(names)  # the order of connecting does not matter
+    assert with_shared_clock(programs, path, names) == (frames, logs), f"seed {seed}"
+    return frames, logs
+
+
+def test_programs_with_shared_clock_make_frames_of_parties(tmp_path):
+    met = set()
+    count = 0
+    for seed in range(SEEDS):
+        frames, logs = require_equal(seed, tmp_path / f"{seed}")
+        count += len(frames)
+        met |= {
+            kind if isinstance(kind, str) else "frame" for log in logs.values() for *_, kind in log
+        }
+    assert count > 10 * SEEDS
+    assert met >= {"wait", "send", "receive", "every", "spawn", "poll", "frame"}
+
+
+@pytest.mark.nightly
+def test_1000_seeds_make_frames_of_parties(tmp_path):
+    for seed in range(SEEDS, SEEDS + MORE):
+        require_equal(seed, tmp_path / f"{seed}")
+
+
+def test_comparison_detects_order_of_connecting(tmp_path, monkeypatch):
+    """Without the rig's order, programs would act in the order in which they connected."""
+    programs = {name: [("send", 0.0, number)] for number, name in enumerate(("one", "two"))}
+    swapped = dict(reversed(programs.items()))
+    assert in_one_process(programs)[0] != in_one_process(swapped)[0]
