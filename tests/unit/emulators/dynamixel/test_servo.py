@@ -303,6 +303,13 @@ def test_fast_bulk_read_has_the_answer_of_the_manual():
     )
 
 
+@pytest.mark.parametrize("code", [0x92, 0x9A, 0x93])
+def test_bulk_packet_that_ends_within_an_item_is_ignored(code):
+    bench = Bench()
+    assert bench.ask(hexed(packet(0xFE, code, bytes((1, 64, 0, 1))))) == ""
+    assert read(bench, 64, 1) == 0
+
+
 def test_alert_is_in_the_block_of_its_servo():
     second = at_counts(2, -1) | {"registers": {"operating_mode": 4, "homing_offset": -4096}}
     second["initial_position_rad"] = (4095.25 - 2048) / 4096 * 2 * pi
