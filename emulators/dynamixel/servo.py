@@ -583,6 +583,8 @@ def _places(heard: Packet) -> list[tuple[int, int, int, int]]:
             places.append((data[at], address, length, at + 1))
             at += 1 + length
             continue
+        if at + 5 > len(data):
+            break  # the packet ends within an item
         own = int.from_bytes(data[at + 3 : at + 5], "little")
         place = int.from_bytes(data[at + 1 : at + 3], "little")
         places.append((data[at], place, own, at + 5))

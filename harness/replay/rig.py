@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from motorhil.emulators.can.controller_config import PLAIN, FrameSupport
+from motorhil.harness.plugins import DECODERS, installed
 from motorhil.harness.replay.device_node import KIND, SET_POINTS, recorded_exchanges
 from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
 from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
@@ -46,9 +47,20 @@ def with_recorded(
     The effects of faults and stimuli are in the recording already. `set_points` is "exact", or
     "any" if their values in PDOs may differ from the recorded ones. `places` gives, by controller,
     its `recorded_bus` and `recorded_unit` where they differ from the rig's.
+
+    Raises:
+        RigError: a controller is of a kind with a protocol of its own.
     """
-    controllers = {}
+    controllers, others = {}, installed(DECODERS)
     for name, controller in description.controllers.items():
+        if controller.kind in others:
+            raise description.error(
+                ("controller", name, "kind"),
+                f'no recording stands in for "{controller.kind}": its protocol is neither CANopen'
+                " nor Modbus",
+                "run the application on the rig, with the emulated drive (motorhil run RIG SCRIPT),"
+                " or replay the host or the traffic (--as host, --as traffic)",
+            )
         bus = description.buses[controller.bus]
         settings: dict[str, object] = {
             "recording": str(recording.absolute()),

@@ -24,7 +24,7 @@ from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
 from motorhil.motorapi.api.setpoint_stream import SetpointStream
-from motorhil.motorapi.api.streamed_motion import StreamedMotion
+from motorhil.motorapi.api.streamed_motion import StreamedMotion, can_stream, require_time
 from motorhil.motorapi.api.streamed_motor import StreamedMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
@@ -118,10 +118,12 @@ __all__ = [
     "UsageError",
     "adaptation",
     "asks_for_smoothness",
+    "can_stream",
     "checked_node",
     "demand_of",
     "number",
     "read_settings",
+    "require_time",
     "text",
     "wait_until",
     "whole",

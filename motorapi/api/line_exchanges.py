@@ -1,7 +1,8 @@
 """One host on one line: one exchange after another.
 
-Exchanges take place in the order of the requests. The protocol's `Codec` encodes and decodes; the
-runtime provides time, silence and deadlines. No request is sent twice: a request whose answer was
+Exchanges take place in the order of the requests, but a request that starts motions goes before
+those that wait. The protocol's `Codec` encodes and decodes; the runtime provides time, silence and
+deadlines. No request is sent twice: a request whose answer was
 lost may have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its
 request. The request is sent as soon as the line is silent, before all others.
 
@@ -35,7 +36,9 @@ from motorhil.motorapi.errors import (
     MotorError,
     PeerError,
 )
+from motorhil.motorapi.locking.process_lock import can_share_time
 from motorhil.motorapi.runtime.api import Registration, Runtime
+from motorhil.motorapi.synchronization.offer import Firing
 
 if TYPE_CHECKING:
     from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
@@ -80,6 +83,7 @@ class Exchange(Generic[RequestT, AnswerT]):
     Attributes:
         owned: must be ours when the request is sent.
         has_answer: False for a request that is not answered: it is over once it is sent.
+        starts: True for a request that starts motions.
         on_over: called with the exchange when it is over; None: nothing follows.
         sent_ns: the time of sending.
     """
@@ -89,6 +93,7 @@ class Exchange(Generic[RequestT, AnswerT]):
     timeout_s: float
     owned: "tuple[Owned, ...]" = ()
     has_answer: bool = True
+    starts: bool = False
     on_over: "Callable[[Exchange[RequestT, AnswerT]], None] | None" = None
     transaction: int = 0
     asked_ns: int = 0
@@ -178,6 +183,8 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         strays: the number of answers that matched no request.
         reconnections: the number of connections made in place of broken ones.
         users: the number of hardware objects that use the line.
+        timeout_max_s: the longest response timeout of its units [s].
+        started_ns: the end of the last request on the line that started a motion, by unit [ns].
         HAS_SILENCES: whether the protocol separates its frames by silences of the line.
         QUARANTINE_NS: maximum duration of a quarantine.
     """
@@ -192,6 +199,8 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         self.strays: int = 0
         self.reconnections: int = 0
         self.users = 0
+        self.timeout_max_s: float = 0.0
+        self.started_ns: Final[dict[int, int]] = {}
         self._lock = lock
         self._hold: LockHandle | None = None
         self._is_tcp: Final = line.framing == "tcp"
@@ -211,14 +220,28 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         if lock is not None:
             self._set_reading(False)
 
+    @property
+    def bytes_max(self) -> int:
+        """The length of the longest request or answer."""
+        return 256  # of Modbus RTU
+
     @abstractmethod
     def _codec(self) -> Codec[RequestT, AnswerT]:
         """Return a new codec of the protocol."""
 
     # ---- requests ----
 
-    def ask(self, request: RequestT, unit: int, timeout_s: float, *owned: "Owned") -> AnswerT:
+    def ask(
+        self,
+        request: RequestT,
+        unit: int,
+        timeout_s: float,
+        *owned: "Owned",
+        starts: bool = False,
+    ) -> AnswerT:
         """Send a request and return its answer; with `owned`, only while all of them are owned.
+
+        A request that `starts` a motion goes before all waiting ones, except stops.
 
         Raises:
             MotorBusyError: it is not owned; nothing was sent.
@@ -227,19 +250,38 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
             LineProtocolViolation: the received bytes are not an answer; likewise.
             LinkError: the line is closed.
         """
-        exchange: Exchange[RequestT, AnswerT] = Exchange(request, unit, timeout_s, owned)
+        exchange: Exchange[RequestT, AnswerT] = Exchange(
+            request, unit, timeout_s, owned, starts=starts
+        )
         self._wait_for(exchange)
         assert exchange.answer is not None
         return exchange.answer
 
-    def tell(self, request: RequestT, unit: int, *owned: "Owned") -> int:
-        """Send a request that is not answered, and return when it began on the line [ns].
+    def tell(self, request: RequestT, unit: int, *owned: "Owned", starts: bool = False) -> None:
+        """Send a request that is not answered, and return when it was transmitted.
 
         Raises: as `ask`.
         """
-        exchange: Exchange[RequestT, AnswerT] = Exchange(request, unit, 0.0, owned, False)
+        exchange: Exchange[RequestT, AnswerT] = Exchange(
+            request, unit, 0.0, owned, has_answer=False, starts=starts
+        )
         self._wait_for(exchange)
-        return exchange.sent_ns
+
+    def start_bound(self, *, has_answer: bool) -> tuple[Firing | None, str]:
+        """Return the longest duration of one request that starts motions, or the reason for none.
+
+        It waits for the exchange on the line, which may end in a quarantine, but for no other one.
+        A stop goes first, and is not counted. A drive that answers may execute the request until
+        its answer is complete.
+        """
+        if can_share_time(self.runtime):
+            return None, "on the wall clock the delays of this program have no bound"
+        if self._is_tcp:
+            return None, "a connection that has ended is opened anew before the start"
+        line_ns, silence_ns = self.line.duration_ns(self.bytes_max), self.line.silence_ns
+        waits_s = (2 * line_ns + silence_ns + self.QUARANTINE_NS + 1) / 1e9 + self.timeout_max_s
+        executes_s = self.timeout_max_s if has_answer else 0.0
+        return Firing(idle_s=waits_s + line_ns / 1e9 + executes_s, idle_after_s=executes_s), ""
 
     def _wait_for(self, exchange: Exchange[RequestT, AnswerT]) -> None:
         """Queue an exchange and wait for its end; raise its error."""
@@ -250,7 +292,7 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
             nonlocal is_asked
             if not is_asked:
                 is_asked = True
-                self._queue.append(exchange)
+                self._enqueue(exchange)
                 self._go_on()
             return exchange.is_over
 
@@ -299,6 +341,13 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
 
     # ---- queue ----
 
+    def _enqueue(self, exchange: Exchange[RequestT, AnswerT]) -> None:
+        place = len(self._queue)
+        if exchange.starts:
+            goes_first = (n for n, one in enumerate(self._queue) if not one.is_posted)
+            place = next(goes_first, place)
+        self._queue.insert(place, exchange)
+
     def _go_on(self) -> None:
         """Send the next request, as soon as permitted."""
         if self._active is not None or not self._queue:
@@ -332,7 +381,10 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         except Exception as error:  # any other failure of the line also ends the exchange
             self._end(exchange, None, LinkError(link=self.name, reason=f"cannot send: {error}"))
             return
-        on_line_s = self.line.duration_ns(len(adu)) / 1e9
+        on_line_ns = self.line.duration_ns(len(adu))
+        on_line_s = on_line_ns / 1e9
+        if exchange.starts:
+            self.started_ns[exchange.unit] = exchange.sent_ns + on_line_ns
         if exchange.has_answer:
             self._set_timer(on_line_s + exchange.timeout_s, self._too_late)
         else:

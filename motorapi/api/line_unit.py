@@ -100,6 +100,7 @@ class LineUnit(ABC, Generic[RequestT, AnswerT]):
         self.physical: Final = register_physical_motor(line, unit, self.label, hardware, lock)
         self._hardware = hardware
         self.line: Final[ExchangeLine[RequestT, AnswerT]] = _open(self.LINE, line, runtime)
+        self.line.timeout_max_s = max(timeout_s, self.line.timeout_max_s)
         self.is_closed: bool = False
         self.silences: int = 0
         self.repeats: int = 0
@@ -168,8 +169,10 @@ class LineUnit(ABC, Generic[RequestT, AnswerT]):
         self._answers = True
         return answer
 
-    def command(self, request: RequestT) -> AnswerT:
+    def command(self, request: RequestT, *, starts: bool = False) -> AnswerT:
         """Send a command once; only while this process owns the motor, if others can own it.
+
+        One that `starts` a motion goes before all requests that wait for the line, except stops.
 
         Raises: as `ExchangeLine.ask`; MotorBusyError if the motor was taken over, or if a motor on
             this unit has reserved or moves it, and this is not one of its operations.
@@ -177,7 +180,7 @@ class LineUnit(ABC, Generic[RequestT, AnswerT]):
         self._require_open()
         self.physical.require_free()
         try:
-            answer = self.line.ask(request, self.unit, self.timeout_s, *self.owned)
+            answer = self.line.ask(request, self.unit, self.timeout_s, *self.owned, starts=starts)
         except MotorError as error:
             self.silences += is_silence(error)
             raise

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from math import floor, pi
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar, final
 
 from motorhil.motorapi.api.line_exchanges import Exchange
 from motorhil.motorapi.api.line_unit import LineUnit
@@ -85,6 +85,7 @@ class PolledProgress:
         rests: number of consecutive polls without motion.
         anchor: the first status at about the present position.
         started_ns, ended_ns: of the last command.
+        latched_ns: the end of its request on the line; None: unknown.
     """
 
     poll: Poll | None = None
@@ -99,6 +100,7 @@ class PolledProgress:
     anchor: Poll | None = None
     started_ns: int | None = None
     ended_ns: int | None = None
+    latched_ns: int | None = None
 
 
 UnitT = TypeVar("UnitT", bound=LineUnit[Any, Any])
@@ -116,7 +118,10 @@ class PolledHardware(ABC, Generic[UnitT]):
         registers: as given.
         progress: the state of its motor.
         users: the number of motors built on it from settings; the last one closes it.
+        STARTS_AT_ONCE: whether `trigger` sends one request, which `starts` a motion.
     """
+
+    STARTS_AT_ONCE: ClassVar[bool] = True
 
     def __init__(self, registers: UnitT) -> None:
         self.registers: Final[UnitT] = registers

@@ -86,13 +86,18 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return variable in _SUPPORTED
 
     def _sync_offer(self) -> SyncOffer:
+        hardware = self.hardware
         reason = "its line carries one request at a time: it is started by its own request"
+        firing, unbounded = hardware.registers.line.start_bound(has_answer=True)
+        if not hardware.STARTS_AT_ONCE:
+            firing, unbounded = None, "a start may take several requests"
         return SyncOffer(
             SyncLevel.SEQUENTIAL,
-            self.hardware.label,
+            hardware.label,
             None,
             reason,
-            no_firing_bound="the duration of an exchange is not bounded",
+            firing,
+            no_firing_bound=unbounded,
             no_start_bound="the drive's own cycle is not known",
             no_end_bound="the drive's own clock is not known",
         )
@@ -230,7 +235,9 @@ class PolledMotor(Motor, Generic[HardwareT]):
         state.target = target
         state.rests = 0
         state.anchor = None
+        registers = self.hardware.registers
         state.started_ns = self.runtime.now_ns()
+        state.latched_ns = registers.line.started_ns.pop(registers.unit, None)
         state.least_ns = state.started_ns + round(least_s * 1e9)
         state.ended_ns = None
         state.poll = None
@@ -311,7 +318,7 @@ class PolledMotor(Motor, Generic[HardwareT]):
         if state.started_ns is None:
             return None
         source = f"its trigger acknowledged; its status as polled every {POLL_S * 1e3:g} ms"
-        return MotionTimes(state.started_ns, state.ended_ns, source)
+        return MotionTimes(state.started_ns, state.ended_ns, source, state.latched_ns)
 
 
 def _ramp_s(motion: Motion, before: float) -> float:

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.api.setpoint_stream import SendSetpoint, SetpointStream
-from motorhil.motorapi.commands import ControlVariable
+from motorhil.motorapi.commands import ControlVariable, Setpoint
+from motorhil.motorapi.errors import UnsupportedError
 from motorhil.motorapi.generation import ProfileLimits, trapezoid
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 from motorhil.motorapi.synchronization.quality import MotionTimes
+from motorhil.motorapi.trajectory import Trajectory, has_moving_ends
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api.can_drive import CanDrive
@@ -24,6 +26,20 @@ _STEP_S: Final = 1e-4  # over which a rate is found
 
 Course = tuple[Callable[[float], float], float]
 """(value over the time since the start [s], its duration [s])."""
+
+
+def can_stream(variable: ControlVariable, command: Setpoint | Trajectory) -> bool:
+    """Return True for trajectories of position from rest to rest, as functions of time."""
+    is_trajectory = not isinstance(command, Setpoint) and not has_moving_ends(command)
+    return is_trajectory and variable is ControlVariable.POSITION
+
+
+def require_time(motor: str, motion: "Motion") -> None:
+    """Raise UnsupportedError for a motion whose argument is not time."""
+    if motion.argument is not None:
+        raise UnsupportedError(
+            motor=motor, feature=f"a motion over the {motion.argument.name}", supported="time"
+        )
 
 
 @final

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
+from motorhil.motorapi.api.streamed_motion import can_stream, require_time
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.motor import Motor
@@ -16,6 +17,7 @@ from motorhil.motorapi.motor import Motor
 if TYPE_CHECKING:
     from motorhil.motorapi.api.can_drive import CanDrive
     from motorhil.motorapi.api.streamed_motion import StreamedMotion
+    from motorhil.motorapi.commands import Setpoint
     from motorhil.motorapi.model import MotorModel
     from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.ownership.fencing import BoundFence
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.state import Fault
     from motorhil.motorapi.synchronization.offer import SyncOffer
     from motorhil.motorapi.synchronization.quality import MotionTimes
+    from motorhil.motorapi.trajectory import Trajectory
 
 _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY, ControlVariable.CURRENT)
 
@@ -123,10 +126,15 @@ class StreamedMotor(Motor, Generic[HardwareT]):
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in _SUPPORTED
 
+    def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
+        if not can_stream(variable, command):
+            super()._check_command(variable, command)
+
     def _connect(self) -> None:
         self.hardware.connect()
 
     def _command(self, motion: "Motion") -> None:
+        require_time(self.name, motion)
         hardware, variable = self.hardware, motion.variable
         sender = partial(hardware.send, variable)
         scale = self._scale(variable)

@@ -73,6 +73,8 @@ class Firing:
         idle_s: maximum delay other than that of the bus [s].
         latched_after: number of frames received when the first drive latches its command; the last
             drive latches with the last frame.
+        idle_after_s: the part of `idle_s` that may follow the latch of the first drive, if no frame
+            does [s].
     """
 
     bus: Hashable | None = None
@@ -80,10 +82,12 @@ class Firing:
     frames: tuple[OneFrame, ...] = ()
     idle_s: float = 0.0
     latched_after: int = 0
+    idle_after_s: float = 0.0
 
     def rest(self) -> "Firing":
         """Return the rest of the trigger after the first drive has latched its command."""
-        idle_s = self.idle_s if self.latched_after < len(self.frames) else 0.0
+        has_frames = self.latched_after < len(self.frames)
+        idle_s = self.idle_s if has_frames else self.idle_after_s
         return Firing(self.bus, self.traffic, self.frames[self.latched_after :], idle_s)
 
 

@@ -26,20 +26,20 @@ _POLLED = frozenset(
         *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CANOPEN),
     }
 )
-_STREAMED = frozenset(  # trapezoids and ramps only; no common trigger, no switch of the supply
+_STREAMED = frozenset(  # functions of time for positions; no common trigger, no supply switch
     {
-        *("SET-07", "TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),
-        *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
-        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
+        *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12"),
+        *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
+        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", "LOW-06"),
         *_OF_CANOPEN,
     }
 )
-_SAMPLED = frozenset(  # by the host, along trapezoids and ramps of position, velocity, current
+_SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of velocity and current
     {
-        *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LIM-05", "LEAD-01", "LEAD-02"),
-        *(f"TRAJ-{number:02}" for number in (4, 6, 7, 9, 10, 11, 12)),
+        *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LEAD-01", "LEAD-02"),
+        *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12)),
         *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
-        *("OTHER-01", "LOST-07", "LOST-08", "LOW-06", "SYNC-19", *_OF_CANOPEN),
+        *("OTHER-01", "LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
     }
 )
 NOT_APPLICABLE = {

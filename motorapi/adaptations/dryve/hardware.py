@@ -133,6 +133,8 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         UsageError: a hardware object for this drive exists already.
     """
 
+    STARTS_AT_ONCE: ClassVar[bool] = False  # the mode may change
+
     def __init__(
         self,
         line: ByteLine,

@@ -99,8 +99,10 @@ class GroupStart:
         each = (bytes((one.registers.unit,)) + one.prepared[1] for one in servos)
         owned = [mine for one in servos for mine in one.registers.owned]
         request = Request(SYNC_WRITE, head + b"".join(each))
-        servos[0].registers.line.tell(request, BROADCAST, *owned)
-        for started in armed.values():
+        line = servos[0].registers.line
+        line.tell(request, BROADCAST, *owned, starts=True)
+        for servo, started in armed.items():
+            line.started_ns[servo.registers.unit] = line.started_ns[BROADCAST]
             started()
 
 
@@ -118,6 +120,11 @@ class DynamixelLine(ExchangeLine[Request, Status]):
     def __init__(self, line: ByteLine, runtime: "Runtime", lock: "ProcessLock | None") -> None:
         super().__init__(line, runtime, lock)
         self.starts: Final = {mode: GroupStart() for mode in MODES}
+
+    @property
+    def bytes_max(self) -> int:
+        """The length of the longest packet: a poll, or the start of all servos, with stuffing."""
+        return max(super().bytes_max, 16 + 18 * self.users)
 
     def _codec(self) -> DynamixelCodec:
         return DynamixelCodec(self.name)
@@ -141,9 +148,9 @@ class DynamixelUnit(LineUnit[Request, Status]):
         """Return bytes of the control table; raises as `LineUnit.ask_repeatedly`."""
         return self.ask_repeatedly(lambda: read_of(address, count)).data
 
-    def write(self, address: int, data: bytes) -> None:
+    def write(self, address: int, data: bytes, *, starts: bool = False) -> None:
         """Write bytes of the control table; raises as `LineUnit.command`."""
-        self.command(write_of(address, data))
+        self.command(write_of(address, data), starts=starts)
 
 
 @final
@@ -370,7 +377,7 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
 
     def trigger(self) -> None:
         """Send the prepared motion, which starts it."""
-        self.registers.write(*self.prepared)
+        self.registers.write(*self.prepared, starts=True)
 
     def _post_stop(self) -> DynamixelExchange:
         quick_ramp = self._quick_ramp if self._quick_stopped else 0

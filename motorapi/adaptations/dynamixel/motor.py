@@ -36,12 +36,15 @@ class DynamixelMotor(PolledMotor[DynamixelHwMotor]):
         return variable.value == self.hardware.mode
 
     def _sync_offer(self) -> SyncOffer:
+        line = self.hardware.registers.line
+        firing, unbounded = line.start_bound(has_answer=False)
         return SyncOffer(
             SyncLevel.TRIGGERED,
-            ("dynamixel", self.hardware.registers.line.name, self.hardware.mode),
+            ("dynamixel", line.name, self.hardware.mode),
             None,
             "one sync write starts all servos of one mode on the line",
-            no_firing_bound="the wait for a turn on the line is not bounded",
+            firing,
+            no_firing_bound=unbounded,
             no_start_bound="the servo's own cycle is not known",
             no_end_bound="the servo's own clock is not known",
         )

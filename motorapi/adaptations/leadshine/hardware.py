@@ -244,7 +244,7 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
 
     def trigger(self) -> None:
         """Send the prepared motion, and start it by the same request."""
-        self.registers.write(_PATH_0, *self._prepared)
+        self.registers.write(_PATH_0, *self._prepared, starts=True)
 
     def _post_stop(self) -> ModbusExchange:
         return self.registers.post(_TRIGGER, _STOP)

@@ -46,14 +46,18 @@ from motorhil.motorapi.api import (
     MotorState,
     PeerError,
     Ramps,
+    Setpoint,
     Shared,
     SyncOffer,
+    Trajectory,
     TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
     adaptation,
+    can_stream,
     demand_of,
     read_settings,
+    require_time,
     text,
     whole,
     word,
@@ -131,12 +135,16 @@ class MitMotor(Motor):
         hardware.ask(Special.LEAVE, lambda: not hardware.is_on, "the end of motor mode")
 
     def _command(self, motion: Motion) -> None:
-        limit = self._hardware.frames.ranges.p
-        if motion.variable is ControlVariable.POSITION and abs(motion.target) > limit:
+        require_time(self.name, motion)
+        limit, furthest = self._hardware.frames.ranges.p, motion.target
+        if motion.function is not None:
+            low, high = motion.function.bounds(*motion.interval)
+            furthest = motion.offset + max(low, high, key=lambda end: abs(motion.offset + end))
+        if motion.variable is ControlVariable.POSITION and abs(furthest) > limit:
             raise LimitError(
                 motor=self.name,
-                quantity="target",
-                value=motion.target,
+                quantity="position",
+                value=furthest,
                 low=-limit,
                 high=limit,
                 unit="rad",
@@ -164,6 +172,10 @@ class MitMotor(Motor):
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable is not ControlVariable.CURRENT
+
+    def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
+        if not can_stream(variable, command):
+            super()._check_command(variable, command)
 
     def _sync_offer(self) -> SyncOffer:
         return self._hardware.start_offer()

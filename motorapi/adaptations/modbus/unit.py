@@ -44,12 +44,12 @@ class ModbusUnit(LineUnit["ModbusPDU", "ModbusPDU"]):
         """Return a signed 32-bit value, upper register first."""
         return as_i32(*self.read(address, 2))
 
-    def write(self, address: int, *values: int) -> None:
+    def write(self, address: int, *values: int, starts: bool = False) -> None:
         """Write holding registers from `address` on; a single one by function 06h.
 
         Raises: as `LineUnit.command`.
         """
-        self.command(_write(address, values))
+        self.command(_write(address, values), starts=starts)
 
     def post(self, address: int, *values: int) -> ModbusExchange:
         """Write without waiting and without owning the motor: for stops."""

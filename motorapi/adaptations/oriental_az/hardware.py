@@ -234,7 +234,7 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
 
     def trigger(self) -> None:
         """Send the prepared motion, and start it by the same request."""
-        self.registers.write(_BLOCK, *self._prepared)
+        self.registers.write(_BLOCK, *self._prepared, starts=True)
 
     def _post_stop(self) -> ModbusExchange:
         self._hz = None

@@ -9,7 +9,7 @@ import pytest
 
 from motorhil.emulators.controller import SettingError
 from motorhil.emulators.dynamixel.packets import crc16, packet, status
-from tests.support.dynamixel.bench import MS, Bench
+from tests.support.dynamixel.bench import MS, PLANT, Bench
 
 PING, PONG = "FFFFFD0001030001194E", "FFFFFD000107005500B00434B2D4"
 OK = "FFFFFD000104005500A10C"
@@ -272,6 +272,51 @@ def test_fast_sync_read_is_one_packet_with_a_crc_each():
     starts = [one[0] for one in bench.sent[-3:]]
     ends = [one[1] for one in bench.sent[-3:]]
     assert starts[1:] == ends[:-1]  # without a pause
+
+
+def at_counts(unit, counts):
+    """Return the settings of a servo whose shaft stands at these counts."""
+    return {"unit": unit, "initial_position_rad": (counts + 0.25 - 2048) / 4096 * 2 * pi}
+
+
+def test_fast_sync_read_has_the_answer_of_the_manual():
+    bench = Bench(at_counts(3, 166), at_counts(7, 2079), at_counts(4, 1023))
+    assert bench.ask("FFFFFD00FE0A008A8400040003070420F2") == (
+        "FFFFFD00FE190055" + "0003A60000008408" + "00071F08000016CA" + "0004FF030000D19E"
+    )
+
+
+def test_fast_sync_read_of_one_servo_has_its_golden_answer():
+    query = hexed(packet(0xFE, 0x8A, bytes((132, 0, 4, 0, 1))))
+    assert Bench().ask(query) == "FFFFFD00FE090055000100080000E496"
+
+
+def test_fast_bulk_read_has_the_answer_of_the_manual():
+    fine = {"unit": 7, "plant": {**PLANT, "encoder_increments_rev": 65_536}}
+    bench = Bench(at_counts(3, 166), fine, {"unit": 4})
+    bench.ask(write(64, 1, 1, unit=7))
+    bench.stimulate("load_torque_n_m", 0.2178, 7)  # held with 47.6 % of the supply
+    bench.stimulate("temperature_c", 31.0, 4)
+    bench.run_ms(500)
+    assert bench.ask("FFFFFD00FE12009A0384000400077C0002000492000100DA2D") == (
+        "FFFFFD00FE140055" + "0003A600000067A4" + "0007A5012474" + "00041FD9C1"
+    )
+
+
+@pytest.mark.parametrize("code", [0x92, 0x9A, 0x93])
+def test_bulk_packet_that_ends_within_an_item_is_ignored(code):
+    bench = Bench()
+    assert bench.ask(hexed(packet(0xFE, code, bytes((1, 64, 0, 1))))) == ""
+    assert read(bench, 64, 1) == 0
+
+
+def test_alert_is_in_the_block_of_its_servo():
+    second = at_counts(2, -1) | {"registers": {"operating_mode": 4, "homing_offset": -4096}}
+    second["initial_position_rad"] = (4095.25 - 2048) / 4096 * 2 * pi
+    bench = Bench(at_counts(1, 1200), second)
+    bench.stimulate("temperature_c", 90.0, 1)
+    query = hexed(packet(0xFE, 0x8A, bytes((132, 0, 4, 0, 1, 2))))
+    assert bench.ask(query) == "FFFFFD00FE1100558001B0040000AA030002FFFFFFFF8030"
 
 
 def test_fast_read_without_fast_firmware_is_not_answered():

@@ -98,6 +98,21 @@ def test_encoder_has_16384_pulses_a_turn_of_the_motor():
     assert at(-720 / 66).told("6000000000000000") == "600000000080FFFF"
 
 
+def test_run_time_has_the_answer_of_the_manual():
+    rmd = Rmd()  # it has run for 1 ms
+    rmd.run(0x1000_0000 - 1)
+    assert rmd.told("B100000000000000") == "B100000000000010"  # (2.28)
+
+
+def test_single_turn_encoder_has_position_raw_and_offset():
+    # (2.10) 9000000000000000 has the answer 90003308BE2C8B24: 2099 = 11454 - 9355
+    plant = {"preset": "wheel_60w", "encoder_increments_rev": 16384}
+    rmd = Rmd(plant=plant, initial_position_rad=11454.5 / 16384 / 66 * tau)
+    rmd.told("63000000" + (9355).to_bytes(4, "little").hex())
+    rmd.ask("7600000000000000")
+    assert rmd.run(2).told("9000000000000000") == "90003308BE2C8B24"
+
+
 def test_status_1_has_temperature_and_supply(rmd):
     assert rmd.told("9A00000000000000") == "9A190000F0000000"  # 25 degC, 24.0 V
     rmd.told("7700000000000000")

@@ -52,6 +52,18 @@ def test_as_device_traffic_equals_the_recording(known, tmp_path):
         assert traffic(again) == traffic(path)
 
 
+@pytest.mark.parametrize("name", FRAMES_ONLY)
+def test_as_device_refuses_kinds_with_a_protocol_of_their_own(name, tmp_path, capsys):
+    script = tmp_path / "app.py"
+    script.write_text("raise AssertionError('it ran')\n")
+    with golden(name) as path:
+        assert main(["replay", str(path), "--as", "device", str(script)]) == 2
+        assert main(["run", str(path), str(script)]) == 2
+    told = capsys.readouterr().err
+    assert told.count(f'no recording stands in for "{name}"') == 2
+    assert "--as host" in told
+
+
 def test_recording_opened_as_rig_answers_completely(known, tmp_path):
     with golden(known) as path:
         moved = shutil.copy(path, tmp_path / "bench.mcap")

@@ -72,8 +72,8 @@ def test_lost_sync_write_is_reported_by_start(rig):
     group.set_trajectory(TrapezoidalTrajectory(0.5), TrapezoidalTrajectory(-1.0))
     tell = rig.motors["left"].hardware.registers.line.tell
 
-    def lost(request, unit, *owned):
-        return 0
+    def lost(request, unit, *owned, starts):
+        rig.motors["left"].hardware.registers.line.started_ns[unit] = 0
 
     rig.motors["left"].hardware.registers.line.tell = lost
     with pytest.raises(PeerError, match="sync write, which is not acknowledged"):
