@@ -242,3 +242,23 @@ def test_attempt_during_a_takeover_keeps_its_place(tmp_path):
 
     assert all_pauses(schedule, tmp_path) > 100
     assert len(kept) > 30
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["paused", "killed"])
+def test_takeover_of_a_paused_takeover_leaves_one_owner(tmp_path, is_killed):
+    """The holder lives: the first taker is a holder to take from once it has written the epoch."""
+
+    def schedule(path, first, second):
+        holder = ProcessLock("pan", "the pan", LockDirectory(path)).acquire(Turns(), "holder")
+        one, two = Program(path, take_over=True), Program(path, take_over=True)
+        was_first = one.advance(first)
+        was_second = two.advance(second)
+        if is_killed:
+            one.kill()
+        one.advance()
+        two.advance()
+        assert holder.token not in judge(path, one, two)
+        holder.release()
+        return was_first, was_second
+
+    assert all_pauses(schedule, tmp_path) > 100
