@@ -41,7 +41,6 @@ from motorhil.motorapi.locking.lock_file import (
     line_block,
     pack_takeover,
     takeover_block,
-    write_epoch,
 )
 
 
@@ -146,8 +145,7 @@ class TakeoverAttempt:
         else:
             return Attempt.FULL
         self._write(new)
-        write_epoch(file.fd, new, base)
-        file.look_up()
+        file.advance(new, base)
         return Attempt.TAKEN
 
     def _base_behind(self, old: int) -> int:
