@@ -10,7 +10,7 @@ import pytest
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.controller import ControllerContext
-from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests import processes
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import Motor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -231,17 +231,35 @@ def test_faulty_verb_is_found(verb, told, monkeypatch, tmp_path):
 
 
 @pytest.mark.wall
-def test_lock_survives_kills_of_its_holders():
-    done = lock_kills.attack(lock_kills.plan_of(f"{SEED}:0", seconds=0.5))
+def test_lock_survives_kills_of_its_holders(tmp_path):
+    done = lock_kills.attack(lock_kills.plan_of(f"{SEED}:0", seconds=0.5), tmp_path / "history")
+    assert not list(tmp_path.iterdir())
     assert done.reached["killed"] + done.reached["paused"] == done.count
     assert done.reached["take: done"]
 
 
 @pytest.mark.wall
-def test_lock_open_to_everybody_is_found():
-    plan = lock_kills.plan_of(f"{SEED}:0", seconds=0.5, plant=f"{__name__}:open_locks")
-    with pytest.raises(SharingViolated):
-        lock_kills.attack(plan)
+def test_lock_open_to_everybody_is_found(monkeypatch, tmp_path, capsys):
+    opened = partial(lock_kills.plan_of, seconds=0.5, plant=f"{__name__}:open_locks")
+    monkeypatch.setattr(lock_kills, "plan_of", opened)
+    monkeypatch.setattr("sys.argv", ["attack", "locks", "--count", "1", "--keep", str(tmp_path)])
+    assert program.main() == 1
+    (kept,) = tmp_path.iterdir()
+    out = capsys.readouterr().out
+    assert f"sharing_tests.processes {kept}" in out
+    monkeypatch.setattr("sys.argv", ["processes", str(kept)])
+    assert processes.main() == 1
+    again = capsys.readouterr().out
+    assert out.partition("FAILED: ")[2].splitlines()[0].rpartition("SharingViolated: ")[2] in again
+
+
+@pytest.mark.wall
+def test_sound_history_of_kills_stays_sound_in_its_file(monkeypatch, tmp_path, capsys):
+    outcome = processes.run(lock_kills.plan_of("82:4", seconds=0.5))
+    outcome.save(tmp_path / "history")
+    assert processes.Outcome.load(tmp_path / "history") == outcome
+    monkeypatch.setattr("sys.argv", ["processes", str(tmp_path / "history")])
+    assert processes.main() == 0
 
 
 def open_locks(folder):
