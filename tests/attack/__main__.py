@@ -22,6 +22,7 @@ ATTACKS: Final = {
     "lies": "lying_medium",
     "files": "damaged_files",
     "locks": "lock_kills",
+    "schedules": "lock_schedules",
     "recordings": "recorder_kills",
     "hours": "growth",
     "rigs": "growth",
