@@ -76,7 +76,7 @@ class Party:
         self.name: Final = f"{number}"
         self.shared: Final = shared
         self._number: Final = number
-        self._by_force: Final = dice.choice(((), (0,), (0, 1), (1,)))
+        self._by_force: Final = dice.choice(((), (0, 1), (0, 1)))
         self._lease_s: Final = dice.choice((None, _EXPIRED_S, _LONG_S))
         self.program: Final = Program(path, self._work)
 
@@ -173,13 +173,14 @@ def attack(seed: str, folder: Path) -> Done:
         patch.object(process_lock, "first_token", shared.now),
         patch.object(takeover, "first_token", shared.now),
     ):
-        if dice.random() < 0.7:
+        is_new = dice.random() < 0.3
+        if not is_new:
             _last(folder)
         parties = [Party(shared, folder, number, dice) for number in range(dice.choice((2, 3, 4)))]
         _run(parties, folder, dice, reached)
         token = _last(folder)  # all have ended: the lock is free
     uses = shared.history.uses()
-    if reached["file removed"]:  # with its queue
+    if is_new or reached["file removed"]:  # an owner may have to ask again, behind others
         uses = tuple(replace(use, queued_ns=None) for use in uses)
     if token <= max((use.token for use in uses), default=0):
         raise SharingViolated(f"the next token, {token}, is not greater than all before it")

@@ -14,12 +14,15 @@ from motorhil.harness.sharing_tests import processes
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import Motor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.locking.lock_file import LockFile, write_epoch
 from tests.attack import __main__ as program
 from tests.attack import controllers, damaged_files, growth, lock_kills, lying_medium
 from tests.attack import recorder_kills as recorders
 from tests.attack.campaign import Attack, Campaign, Done
 
 SEED = 1
+READS_AGAIN = 383
+"""The schedule that meets a takeover just before it reads its epoch again."""
 UNCOMPILED = pytest.mark.skipif(
     cores_are_compiled(), reason="compiled classes cannot be broken on purpose"
 )
@@ -271,6 +274,33 @@ def open_locks(folder):
     own.mkdir(mode=0o700)
     directory = workers.LockDirectory
     workers.LockDirectory = lambda path: directory(own)
+
+
+def test_lock_survives_schedules_of_system_calls_twice_alike():
+    done = campaign("schedules", count=60)
+    events = (
+        "killed",
+        "stopped",
+        "file removed",
+        "command: lost",
+        "take: done from a living owner",
+    )
+    assert all(done.reached[name] for name in events)
+    assert done.digest() == campaign("schedules", count=60).digest()
+
+
+@UNCOMPILED
+def test_takeover_that_reads_its_epoch_again_is_found(monkeypatch):
+    """Two takeovers, the second from the first one before it has read: both own the lock."""
+
+    def advance(file, epoch, base):
+        write_epoch(file.fd, epoch, base)
+        file.look_up()
+
+    monkeypatch.setattr(LockFile, "advance", advance)
+    done = Campaign(program.attack_named("schedules"), SEED)
+    done.run(0.0, 1, first=READS_AGAIN)
+    assert any("SharingViolated" in finding for finding in done.findings), done.findings
 
 
 @pytest.mark.wall
