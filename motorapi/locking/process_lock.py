@@ -693,13 +693,14 @@ class ProcessLock:
         def is_alone() -> bool:
             return file.is_gone or file.witness()
 
-        if file.is_gone or _find_rival(file, request) is None:
+        def refused() -> MotorBusyError | None:
+            return None if file.is_gone else _find_rival(file, request)
+
+        if refused() is None:
             return
         if can_share_time(runtime) and (timeout_s is None or timeout_s > 0.0):
             request.wait(runtime, is_alone, timeout_s)
-        if file.is_gone:
-            return
-        refusal = _find_rival(file, request)
+        refusal = refused()
         if refusal is None:
             return
         if takeover is not None:
