@@ -3,6 +3,7 @@
     outcome = run(Plan(work="my_module:work", seconds=10.0, kill_period_s=0.05))
     print(outcome.table())
     outcome.require_sound()
+    outcome.save(Path("history"))  # python -m motorhil.harness.sharing_tests.processes history
 
 `run` starts an *arena* as a separate process. The arena forks the workers before it has held any
 lock, kills and pauses them according to the plan, and starts replacements. A worker is a function
@@ -21,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Final, final
 
@@ -33,6 +34,7 @@ from motorhil.harness.sharing_tests.history import (
     ended_by_death,
     from_lines,
     overtaken,
+    to_line,
     tokens_that_did_not_grow,
     worst_gap_s,
 )
@@ -133,6 +135,20 @@ class Outcome:
             raise SharingViolated(f"this use was overtaken:\n    {first}\nby\n    {second}")
         require_linearizable(self.uses)
 
+    def save(self, path: Path) -> None:
+        """Write the outcome to a file, to judge it again."""
+        rest = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "uses"}
+        lines = [json.dumps(rest), *(to_line(use) for use in self.uses)]
+        path.write_text("\n".join(lines) + "\n")
+
+    @classmethod
+    def load(cls, path: Path) -> "Outcome":
+        """Return the outcome written by `save`."""
+        first, *lines = path.read_text().splitlines()
+        rest = json.loads(first)
+        complaints = tuple(rest.pop("complaints"))
+        return cls(tuple(from_lines(lines)), complaints=complaints, **rest)
+
 
 def run(plan: Plan) -> Outcome:
     """Carry out the plan, and return the outcome after all its processes have ended.
@@ -156,3 +172,19 @@ def run(plan: Plan) -> Outcome:
     # Other lines are messages for the user: "it moves for a process that died: it is halted".
     complaints = tuple(line for line in done.stderr.splitlines() if line.startswith("worker "))
     return Outcome(ended_by_death(uses), complaints=complaints, **result)
+
+
+def main() -> int:
+    """Judge the saved outcome named by the command line; return 1 if a rule is violated."""
+    outcome = Outcome.load(Path(sys.argv[1]))
+    print(outcome.table())
+    try:
+        outcome.require_sound()
+    except SharingViolated as error:
+        print(error)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

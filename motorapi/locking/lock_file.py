@@ -442,6 +442,14 @@ class LockFile:
         self._note_epoch(epoch, base)
         return True
 
+    def advance(self, epoch: int, base: int) -> None:
+        """Publish an epoch whose HELD byte this file has locked.
+
+        It is not read again: another process may already have taken over from this one.
+        """
+        write_epoch(self._fd, epoch, base)
+        self._note_epoch(epoch, base)
+
     def _note_epoch(self, epoch: int, base: int) -> None:
         self.epoch, self.base = epoch, base
         self._epoch_bytes = NUMBER.pack(epoch)

@@ -497,6 +497,10 @@ class _Acquisition:
         return any(one.record is None or one.record.pid != pid for one in ahead)
 
     def _busy(self, place: int | None) -> MotorBusyError:
+        if self._blocked is Attempt.RIVAL:
+            rival = _find_rival(self._file, self._request)
+            if rival is not None:
+                return rival
         view = self._look()
         ahead = [one for there, one in view.waiters if place is None or there < place]
         who = view.holder or (ahead[0] if ahead else Occupant(None))
@@ -544,6 +548,19 @@ def _removed_error(runtime: Runtime, asker: str, rival: Rival, who: Occupant) ->
     return MotorBusyError(
         motor=asker, holder=holder + doing, since_ns=0, since="an unknown time", remedy=how
     )
+
+
+def _find_rival(file: LockFile, request: LockRequest) -> MotorBusyError | None:
+    """Return the refusal that names the holder of another file; None: the witness is set."""
+    refusals: list[MotorBusyError] = []
+
+    def is_live(rival: Rival) -> bool:
+        who = read_rival(rival)
+        if who is not None:
+            refusals.append(_removed_error(request.runtime, request.asker, rival, who))
+        return who is not None
+
+    return None if file.witness(is_live) else refusals[-1]
 
 
 def _begin_first_write(file: LockFile, request: LockRequest) -> None:
@@ -701,27 +718,24 @@ class ProcessLock:
         Raises:
             MotorBusyError: the file of the holder was removed or moved; names the holder.
         """
-        asker, runtime, timeout_s = request.asker, request.runtime, request.timeout_s
-        refusals: list[MotorBusyError] = []
-
-        def is_live(rival: Rival) -> bool:
-            who = read_rival(rival)
-            if who is not None:
-                refusals.append(_removed_error(runtime, asker, rival, who))
-            return who is not None
+        runtime, timeout_s = request.runtime, request.timeout_s
 
         def is_alone() -> bool:
             return file.is_gone or file.witness()
 
-        if file.is_gone or file.witness(is_live):
+        def refused() -> MotorBusyError | None:
+            return None if file.is_gone else _find_rival(file, request)
+
+        if refused() is None:
             return
         if can_share_time(runtime) and (timeout_s is None or timeout_s > 0.0):
             request.wait(runtime, is_alone, timeout_s)
-        if file.is_gone or file.witness(is_live):
+        refusal = refused()
+        if refusal is None:
             return
         if takeover is not None:
             file.tell_release(takeover.token)
-        raise refusals[-1]
+        raise refusal
 
     @property
     def hold(self) -> LockHandle | None:

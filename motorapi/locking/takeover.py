@@ -3,6 +3,7 @@
     lock WRITING of this epoch, exclusively     fails if the holder writes, or during a takeover
     check again: this epoch, its lease still expired
     write the new and the former holder         so that waiters can name the new one
+    set the witness                             fails if another file of the name is held
     lock HELD and MARK of the next free epoch, and write its line
     write the epoch                             this advances it; no earlier step had an effect
     unlock WRITING
@@ -41,8 +42,8 @@ from motorhil.motorapi.locking.lock_file import (
     line_block,
     pack_takeover,
     takeover_block,
-    write_epoch,
 )
+from motorhil.motorapi.locking.lock_status import read_rival
 
 
 @final
@@ -54,6 +55,7 @@ class Attempt(Enum):
     NOT_DUE = "its lease has not expired"
     WRITING = "its holder is in the middle of a write"
     TAKING = "another takeover is under way"
+    RIVAL = "another file of this name is held"
     FULL = "too many former holders are alive"
 
 
@@ -102,13 +104,19 @@ class TakeoverAttempt:
         try:
             if not file.is_current:
                 return Attempt.TAKING  # another process has just taken it over
-            seen = self._find_due()
-            if seen is None:
-                self._say_who(old)
-                seen = self._move_on(old)
-            return seen
+            return self._find_due() or self._take(old)
         finally:
             fcntl.fcntl(file.fd, fcntl.F_OFD_SETLK, flock(fcntl.F_UNLCK, held_at(old) + 2, 1))
+
+    def _take(self, old: int) -> Attempt:
+        file = self._file
+        if not file.witness(lambda rival: read_rival(rival) is not None):
+            return Attempt.RIVAL  # what is written would look like an owner to its holder
+        self._say_who(old)
+        seen = self._move_on(old)
+        if seen is not Attempt.TAKEN:
+            file.drop_witness()
+        return seen
 
     def _find_due(self) -> Attempt | None:
         """Return None if a takeover is permitted, else the reason against it."""
@@ -146,8 +154,7 @@ class TakeoverAttempt:
         else:
             return Attempt.FULL
         self._write(new)
-        write_epoch(file.fd, new, base)
-        file.look_up()
+        file.advance(new, base)
         return Attempt.TAKEN
 
     def _base_behind(self, old: int) -> int:

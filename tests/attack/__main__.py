@@ -1,6 +1,7 @@
 """Attacks on the project, as programs: `make fuzz`, `make nightly`.
 
 python -m tests.attack [ATTACK ...] [--seed N] [--seconds S | --count N] [--first N] [--verb VERB]
+    [--keep FOLDER]
 
 Without a name, all attacks run, each for `--seconds`. Exit status: 0 nothing was found, 1 something
 was, 2 wrong usage, 130 interrupted.
@@ -9,6 +10,7 @@ was, 2 wrong usage, 130 interrupted.
 import argparse
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Final
 
 from motorhil.harness.cli.main import INTERRUPTED
@@ -20,6 +22,7 @@ ATTACKS: Final = {
     "lies": "lying_medium",
     "files": "damaged_files",
     "locks": "lock_kills",
+    "schedules": "lock_schedules",
     "recordings": "recorder_kills",
     "hours": "growth",
     "rigs": "growth",
@@ -43,6 +46,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, metavar="N", help="this many units, whatever the time")
     parser.add_argument("--first", type=int, default=0, metavar="N", help="begin at this attempt")
     parser.add_argument("--verb", metavar="VERB", help="only this verb of the command line (files)")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for histories of locks")
     options = parser.parse_args()
     unknown = [name for name in options.attacks if name not in ATTACKS]
     if unknown:
@@ -52,6 +56,8 @@ def main() -> int:
         attack = attack_named(name)
         if options.verb is not None and name == "files":
             attack = import_module(f"tests.attack.{ATTACKS[name]}").files_through(options.verb)
+        if options.keep is not None and name == "locks":
+            attack = import_module(f"tests.attack.{ATTACKS[name]}").locks_kept_in(options.keep)
         campaign = Campaign(attack, options.seed)
         try:
             campaign.run(options.seconds, options.count, options.first)

@@ -5,11 +5,14 @@ served, whose token grows with every owner; and the work continues after every d
 """
 
 from collections import Counter
+from functools import partial
+from pathlib import Path
 from random import Random
+from tempfile import gettempdir
 from typing import Final
 
 from motorhil.harness.sharing_tests.history import SharingViolated
-from motorhil.harness.sharing_tests.processes import Plan, run
+from motorhil.harness.sharing_tests.processes import Outcome, Plan, run
 from tests.attack.campaign import Attack, Attempt, Done
 
 EPISODE_S: Final = 3.0
@@ -37,9 +40,18 @@ def plan_of(seed: str, seconds: float = EPISODE_S, plant: str = "") -> Plan:
     )
 
 
-def attack(plan: Plan) -> Done:
-    """Carry out the plan and judge its history."""
+def attack(plan: Plan, kept: Path) -> Done:
+    """Carry out the plan and judge its history; write a violated one to the file `kept`."""
     outcome = run(plan)
+    try:
+        return _judge(outcome)
+    except SharingViolated:
+        outcome.save(kept)
+        print(f"judge again: python -m motorhil.harness.sharing_tests.processes {kept}")
+        raise
+
+
+def _judge(outcome: Outcome) -> Done:
     outcome.require_sound()
     killed = outcome.counts.get("killed", 0)
     if outcome.counts.get("killed at the end", 0):
@@ -49,9 +61,20 @@ def attack(plan: Plan) -> Done:
     return Done(killed + outcome.counts.get("paused", 0), b"", Counter(outcome.reached()))
 
 
-def begin(seed: int) -> Attempt:
-    """Return the attempts: one episode each."""
-    return lambda number: attack(plan_of(f"{seed}:{number}"))
+def begin(seed: int, folder: Path | None = None) -> Attempt:
+    """Return the attempts, one episode each; violated histories are written to the folder."""
+    there = Path(gettempdir()) if folder is None else folder
+
+    def attempt(number: int) -> Done:
+        return attack(plan_of(f"{seed}:{number}"), there / f"locks-{seed}-{number}.history")
+
+    return attempt
+
+
+def locks_kept_in(folder: Path) -> Attack:
+    """Return the attack that writes violated histories to this folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return Attack("locks", "kills and pauses", partial(begin, folder=folder))
 
 
 LOCKS: Final = Attack("locks", "kills and pauses", begin)

@@ -10,16 +10,19 @@ import pytest
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.controller import ControllerContext
-from motorhil.harness.sharing_tests.history import SharingViolated
+from motorhil.harness.sharing_tests import processes
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import Motor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.locking.lock_file import LockFile, write_epoch
 from tests.attack import __main__ as program
 from tests.attack import controllers, damaged_files, growth, lock_kills, lying_medium
 from tests.attack import recorder_kills as recorders
 from tests.attack.campaign import Attack, Campaign, Done
 
 SEED = 1
+READS_AGAIN = 383
+"""The schedule that meets a takeover just before it reads its epoch again."""
 UNCOMPILED = pytest.mark.skipif(
     cores_are_compiled(), reason="compiled classes cannot be broken on purpose"
 )
@@ -236,17 +239,35 @@ def test_faulty_verb_is_found(verb, told, monkeypatch, tmp_path):
 
 
 @pytest.mark.wall
-def test_lock_survives_kills_of_its_holders():
-    done = lock_kills.attack(lock_kills.plan_of(f"{SEED}:0", seconds=0.5))
+def test_lock_survives_kills_of_its_holders(tmp_path):
+    done = lock_kills.attack(lock_kills.plan_of(f"{SEED}:0", seconds=0.5), tmp_path / "history")
+    assert not list(tmp_path.iterdir())
     assert done.reached["killed"] + done.reached["paused"] == done.count
     assert done.reached["take: done"]
 
 
 @pytest.mark.wall
-def test_lock_open_to_everybody_is_found():
-    plan = lock_kills.plan_of(f"{SEED}:0", seconds=0.5, plant=f"{__name__}:open_locks")
-    with pytest.raises(SharingViolated):
-        lock_kills.attack(plan)
+def test_lock_open_to_everybody_is_found(monkeypatch, tmp_path, capsys):
+    opened = partial(lock_kills.plan_of, seconds=0.5, plant=f"{__name__}:open_locks")
+    monkeypatch.setattr(lock_kills, "plan_of", opened)
+    monkeypatch.setattr("sys.argv", ["attack", "locks", "--count", "1", "--keep", str(tmp_path)])
+    assert program.main() == 1
+    (kept,) = tmp_path.iterdir()
+    out = capsys.readouterr().out
+    assert f"sharing_tests.processes {kept}" in out
+    monkeypatch.setattr("sys.argv", ["processes", str(kept)])
+    assert processes.main() == 1
+    again = capsys.readouterr().out
+    assert out.partition("FAILED: ")[2].splitlines()[0].rpartition("SharingViolated: ")[2] in again
+
+
+@pytest.mark.wall
+def test_sound_history_of_kills_stays_sound_in_its_file(monkeypatch, tmp_path, capsys):
+    outcome = processes.run(lock_kills.plan_of("82:4", seconds=0.5))
+    outcome.save(tmp_path / "history")
+    assert processes.Outcome.load(tmp_path / "history") == outcome
+    monkeypatch.setattr("sys.argv", ["processes", str(tmp_path / "history")])
+    assert processes.main() == 0
 
 
 def open_locks(folder):
@@ -258,6 +279,33 @@ def open_locks(folder):
     own.mkdir(mode=0o700)
     directory = workers.LockDirectory
     workers.LockDirectory = lambda path: directory(own)
+
+
+def test_lock_survives_schedules_of_system_calls_twice_alike():
+    done = campaign("schedules", count=60)
+    events = (
+        "killed",
+        "stopped",
+        "file removed",
+        "command: lost",
+        "take: done from a living owner",
+    )
+    assert all(done.reached[name] for name in events)
+    assert done.digest() == campaign("schedules", count=60).digest()
+
+
+@UNCOMPILED
+def test_takeover_that_reads_its_epoch_again_is_found(monkeypatch):
+    """Two takeovers, the second from the first one before it has read: both own the lock."""
+
+    def advance(file, epoch, base):
+        write_epoch(file.fd, epoch, base)
+        file.look_up()
+
+    monkeypatch.setattr(LockFile, "advance", advance)
+    done = Campaign(program.attack_named("schedules"), SEED)
+    done.run(0.0, 1, first=READS_AGAIN)
+    assert any("SharingViolated" in finding for finding in done.findings), done.findings
 
 
 @pytest.mark.wall

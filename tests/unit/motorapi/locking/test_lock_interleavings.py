@@ -1,103 +1,22 @@
 """Two programs at one lock, paused before any system call on its file while the other one runs."""
 
 import fcntl
-import os
-import threading
 from itertools import count
 
 import pytest
 
-from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.lock_file import LockFile, find, held_at
 from motorhil.motorapi.locking.process_lock import ProcessLock
+from tests.support.sharing.stepwise import Program, Turns, stopped_at_calls
 
-PATIENCE_S = 60.0
-CALLS = ((fcntl, "fcntl"), (os, "pread"), (os, "pwrite"))
 TOKEN_OF_A_NEW_FILE_MIN = 10**15  # microseconds of the calendar: greater than in any removed file
 
 
-class Killed(BaseException):
-    """The end of a program in the middle of a step."""
-
-
-class Turns:
-    """A runtime without time: a wait looks twice, and other programs run meanwhile."""
-
-    def now_ns(self):
-        return 0
-
-    def wait_until(self, done, timeout_s=None):
-        return done() or done()
-
-
-class Program(threading.Thread):
-    """A program that stops before each system call until `advance` permits it.
-
-    It acquires the lock, or does what `action` does.
-    """
-
-    def __init__(self, path, action=None, **how):
-        super().__init__(daemon=True)
-        self.lock = ProcessLock("pan", "the pan", LockDirectory(path))
-        self.action, self.how, self.hold = action, how, None
-        self.is_over, self.is_killed, self.left = False, False, 0
-        self.may_run, self.has_stopped = threading.Semaphore(0), threading.Semaphore(0)
-        self.start()
-
-    def run(self):
-        self.may_run.acquire()
-        try:
-            if self.action is not None:
-                self.action()
-            else:
-                self.hold = self.lock.acquire(Turns(), "test", 1.0, **self.how)
-        except (MotorBusyError, Killed):
-            pass
-        finally:
-            self.is_over = True
-            self.has_stopped.release()
-
-    def step(self):
-        if self.left == 0 and not self.is_over:
-            self.has_stopped.release()
-            self.may_run.acquire()
-            if self.is_killed and self.left == 0:
-                self.left = -1
-                raise Killed
-        self.left -= 1
-
-    def advance(self, steps=-1):
-        """Run a number of system calls; -1: run to the end. Return False if it has ended."""
-        if steps and not self.is_over:
-            self.left = steps
-            self.may_run.release()
-            assert self.has_stopped.acquire(timeout=PATIENCE_S)
-        return not self.is_over
-
-    def kill(self):
-        """Kill it before its next system call; the kernel then releases its locks."""
-        if not self.is_over:
-            self.is_killed = True
-            self.may_run.release()
-            assert self.has_stopped.acquire(timeout=PATIENCE_S)
-            self.hold = None
-            self.lock.close()
-
-
 @pytest.fixture(autouse=True)
-def stepwise(monkeypatch):
-    def stopping(call):
-        def stop_first(*args):
-            program = threading.current_thread()
-            if isinstance(program, Program):
-                program.step()
-            return call(*args)
-
-        return stop_first
-
-    for module, name in CALLS:
-        monkeypatch.setattr(module, name, stopping(getattr(module, name)))
+def stepwise():
+    with stopped_at_calls():
+        yield
 
 
 def judge(path, *programs):
@@ -242,3 +161,23 @@ def test_attempt_during_a_takeover_keeps_its_place(tmp_path):
 
     assert all_pauses(schedule, tmp_path) > 100
     assert len(kept) > 30
+
+
+@pytest.mark.parametrize("is_killed", [False, True], ids=["paused", "killed"])
+def test_takeover_of_a_paused_takeover_leaves_one_owner(tmp_path, is_killed):
+    """The holder lives: the first taker is a holder to take from once it has written the epoch."""
+
+    def schedule(path, first, second):
+        holder = Program(path)
+        one, two = Program(path, take_over=True), Program(path, take_over=True)
+        holder.advance()
+        was_first = one.advance(first)
+        was_second = two.advance(second)
+        if is_killed:
+            one.kill()
+        one.advance()
+        two.advance()
+        judge(path, holder, one, two)
+        return was_first, was_second
+
+    assert all_pauses(schedule, tmp_path) > 100
