@@ -47,7 +47,6 @@ class _Way:
     """The way of one axis to its target.
 
     Attributes:
-        offered: 607Ah, as last written.
         target, since_ns: the target in force, and since when; None: unknown.
         word: the last controlword.
         is_taken: True if a statusword without bit 10, or with bit 12, was heard since then.
@@ -57,7 +56,6 @@ class _Way:
         reached: the last statusword had bit 10.
     """
 
-    offered: int | None = None
     target: int | None = None
     since_ns: int = 0
     word: int = 0
@@ -117,8 +115,6 @@ class Arrival(Oracle):
         if index == CONTROLWORD:
             if is_written:
                 self._controlled(time_ns, axis, way, value)
-        elif index == _TARGET:
-            way.offered = value if is_written else way.offered
         elif index == _TARGET_VELOCITY and is_written:
             if axis.mode == _PV:
                 way.aim(time_ns, value)
@@ -126,7 +122,7 @@ class Arrival(Oracle):
             self._status(time_ns, axis, way, value)
         elif index == _ACTUAL.get(axis.mode or 0) and not is_written:
             self._sample(time_ns, axis, way, value)
-        elif is_written or (index == MODE_DISPLAY and value not in _ACTUAL):
+        elif index != _TARGET and (is_written or (index == MODE_DISPLAY and value not in _ACTUAL)):
             way.aim(time_ns, None)
 
     def _controlled(self, time_ns: int, axis: Axis, way: _Way, word: int) -> None:
@@ -137,14 +133,15 @@ class Arrival(Oracle):
         if axis.mode != _PP or not word & ~before & _NEW:
             return
         at_rest = way.reached and way.target is not None
-        if way.offered is None or (way.target == way.offered and not word & _RELATIVE):
+        offered = axis.objects.get((_TARGET, 0))  # that of the same PDO, wherever it is in it
+        if offered is None or (way.target == offered and not word & _RELATIVE):
             way.aim(time_ns, None)  # nothing shows when an equal target is taken
         elif not word & _RELATIVE:
             is_first = at_rest or way.target is None or word & _AT_ONCE
-            way.aim(time_ns, way.offered if is_first else None)
+            way.aim(time_ns, offered if is_first else None)
         else:  # counts from the target before, or from the position, which is there
             is_known = at_rest and way.target is not None
-            way.aim(time_ns, (way.target or 0) + way.offered if is_known else None)
+            way.aim(time_ns, (way.target or 0) + offered if is_known else None)
 
     def _status(self, time_ns: int, axis: Axis, way: _Way, word: int) -> None:
         was_reached, way.reached = way.reached, bool(word & TARGET_REACHED)
