@@ -162,7 +162,7 @@ class Arrival(Oracle):
         age_ns = time_ns - way.outside_ns
         if not was_reached and age_ns < asked_ns - _LAG_NS:
             text = "target reached before the end of the window time"
-            self.broken(axis.violation(time_ns, text, age_ns / 1e6, asked_ns / 1e6, "ms"))
+            self.absent(axis.violation(time_ns, text, age_ns / 1e6, asked_ns / 1e6, "ms"))
         if age_ns <= _NEAR_NS and way.claim_ns is None:
             way.claim_ns, way.claimed = time_ns, way.outside
 
@@ -184,7 +184,7 @@ class Arrival(Oracle):
     def _accuse(self, time_ns: int, axis: Axis, way: _Way, away: int, window: int) -> None:
         text = f"target {way.target} reported as reached, outside its window"
         numbers = (float(away), float(window), f"as {_ACTUAL[axis.mode or 0]:04X}h")
-        self.broken(axis.violation(time_ns, text, *numbers))
+        self.absent(axis.violation(time_ns, text, *numbers))
 
     def _window(self, axis: Axis, way: _Way) -> int | None:
         """Return the window of the mode; None: unknown, or nothing is to be judged."""

@@ -129,7 +129,7 @@ class CommandsObeyed(Oracle):
             self.absent(axis.violation(time_ns, f"{text} {since:.6f} s"))
         if option == 0 and state == QUICK_STOP and time_ns - one.state_ns > _PATIENCE_NS:
             text = "quick stop active, but 605Ah = 0 disables the drive at once"
-            self.broken(axis.violation(time_ns, text))
+            self.absent(axis.violation(time_ns, text))
         leaves = before == QUICK_STOP and state == DISABLED and word & _VOLTAGE
         if option in _STAYS and leaves and self.examine(time_ns, bus) and not one.may_leave:
             text = f"left quick stop active without a command, but 605Ah = {option} stays there"
@@ -263,4 +263,4 @@ class ModeSigns(Oracle):
         is_new = one.was_busy and is_attained and self.examine(time_ns, axis.place[0])
         if is_new and method in _RESERVED:
             text = f"homing attained by method {method}, which is reserved"
-            self.broken(axis.violation(time_ns, text))
+            self.absent(axis.violation(time_ns, text))
