@@ -323,6 +323,9 @@ class Oracle:
     def sync(self, time_ns: int, bus: str, identifier: int) -> None:
         """Handle a SYNC."""
 
+    def tpdo(self, time_ns: int, bus: str, node: int, number: int) -> None:
+        """Handle a TPDO with an identifier of its own; its values come separately."""
+
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
         """Handle a heartbeat other than a boot-up."""
 
@@ -332,7 +335,7 @@ class Oracle:
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
         """Handle an NMT command; None: to all nodes."""
 
-    def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
+    def emergency(self, time_ns: int, bus: str, node: int, code: int, register: int) -> None:
         """Handle an EMCY."""
 
     def sdo(self, time_ns: int, bus: str, event: DecodedEvent, data: bytes) -> None:

@@ -55,6 +55,7 @@ class BusListener:
                 self._wanted[index] = (*self._wanted.get(index, ()), oracle.value)
         self._off: dict[str, int] = {}  # time of bus-off, by node name
         self._on_sync = _hooks(oracles, "sync")
+        self._on_tpdo = _hooks(oracles, "tpdo")
         self._on_sender = _hooks(oracles, "sender")
         self._on_heartbeat = _hooks(oracles, "heartbeat")
 
@@ -85,7 +86,10 @@ class BusListener:
             plan = self._plans[can_id] = self._plan(can_id)
         if plan is None:
             self._service(time_ns, can_id, frame, length)
-        elif plan:
+            return
+        if self._on_tpdo:
+            self._tpdo(time_ns, can_id)
+        if plan:
             self._values(time_ns, plan, int.from_bytes(frame[8 : 8 + length], "little"), 8 * length)
 
     def _error(self, time_ns: int, message: bytes, sender: str) -> None:
@@ -113,6 +117,12 @@ class BusListener:
         for axis, index, subindex, value, is_written, wanted in values:
             for hook in wanted:
                 hook(time_ns, axis, index, subindex, value, is_written)
+
+    def _tpdo(self, time_ns: int, identifier: int) -> None:
+        keys = self._decoder.maps.of(identifier)
+        if len(keys) == 1 and keys[0][1]:
+            for hook in self._on_tpdo:
+                hook(time_ns, self._name, keys[0][0], keys[0][2])
 
     def _plan(self, identifier: int) -> tuple[_Part, ...] | None:
         """Return the parts of a PDO that oracles need; None: not a PDO."""
@@ -159,7 +169,7 @@ class BusListener:
             self._context.saw(self._name, node)
             code = int.from_bytes(frame[8:10], "little")
             for oracle in self._oracles:
-                oracle.emergency(time_ns, self._name, node, code)
+                oracle.emergency(time_ns, self._name, node, code, frame[10])
 
     def _error_control(self, time_ns: int, node: int, frame: bytes) -> None:
         state = frame[8] & 0x7F

@@ -14,8 +14,10 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Final, final
 
 from motorhil.harness.oracles import ownership
+from motorhil.harness.oracles.arrival import Arrival
 from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict
 from motorhil.harness.oracles.bus import BusListener
+from motorhil.harness.oracles.commands import CommandsObeyed, ModeSigns
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.limits import (
     AccelerationLimit,
@@ -33,7 +35,9 @@ from motorhil.harness.oracles.network import (
     OneSender,
     SyncPeriod,
 )
+from motorhil.harness.oracles.process_data import TpdoTimes
 from motorhil.harness.oracles.seen import Incidents, Seen
+from motorhil.harness.oracles.services import ErrorsListed, NmtStates, Refusals
 from motorhil.harness.oracles.state_machine import StateMachine
 from motorhil.traces.decoding.attached_rig import names_of
 from motorhil.traces.formats.frames import Findings as Reading
@@ -58,7 +62,9 @@ from motorhil.traces.schema import (
 ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(PositionLimit, VelocityLimit, AccelerationLimit, TorqueLimit),
     *(StateMachine, AtRest, Following, TorqueOff, FaultsReported),
+    *(CommandsObeyed, ModeSigns, Arrival),
     *(SyncPeriod, Heartbeats, Answers, OneSender, BootUps, Confinement),
+    *(NmtStates, Refusals, ErrorsListed, TpdoTimes),
 )
 CATALOGUE: Final = (
     *((one.id, one.promise, one.source, one.needs) for one in ORACLES),

@@ -25,6 +25,7 @@ _CERTAIN: Final = 10
 _SAMPLES: Final = 8
 _LATE: Final = 1.5
 _RESETS: Final = (0x81, 0x82)
+_STOP: Final = 0x02
 _UNTIL_END: Final = "until the recording ends"
 _ASKED_MAX: Final = 16
 _TIMED_OUT: Final = 0x0504_0000
@@ -311,7 +312,13 @@ class FaultsReported(Oracle):
         self._was_fault: dict[tuple[str, int, int], bool] = {}
         self._waiting: list[Violation] = []
 
-    def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
+    def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
+        """Take the state of nodes: a stopped one sends no EMCY, and says nothing of that."""
+        if command == _STOP:
+            for one in [one for one in self._ever if one[0] == bus and node in (None, one[1])]:
+                del self._ever[one]
+
+    def emergency(self, time_ns: int, bus: str, node: int, code: int, register: int) -> None:
         """Settle all waiting faults of the node with an EMCY that has an error code."""
         self._ever[bus, node] = None
         if code:

@@ -102,7 +102,7 @@ class Incidents(Oracle):
             active = limit is not None and 0 < limit <= abs(value)
             self._limit(time_ns, axis, index, active, f"torque limited: 6077h at 6072h = {limit}")
 
-    def emergency(self, time_ns: int, bus: str, node: int, code: int) -> None:
+    def emergency(self, time_ns: int, bus: str, node: int, code: int, register: int) -> None:
         """Note an EMCY with an error code."""
         if code:
             axis = self.context.axes.get((bus, node, 1))

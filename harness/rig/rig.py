@@ -481,6 +481,11 @@ class RigPlugins:
 class Rig:
     """An open rig; leaving its `with` block always closes everything in it.
 
+    Args:
+        description: the contents of the rig file.
+        seed, realtime, record: as for `open`.
+        doubts: whether implausible values are noted, which costs a sixth of the opening.
+
     Attributes (read only):
         description: the contents of the rig file.
         seed: the seed of this run.
@@ -500,6 +505,7 @@ class Rig:
         seed: int | None = None,
         realtime: bool = False,
         record: Path | None = None,
+        doubts: bool = True,
     ) -> None:
         self.description = description
         self.seed: int = description.seed if seed is None else seed
@@ -517,7 +523,8 @@ class Rig:
             self._add_controllers()
             schedule(description, self.world, self._build_controller)
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
-            self._doubt(started)
+            if doubts:
+                self._doubt(started)
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
                 self._record(record, started, cleanup)

@@ -7,11 +7,13 @@ import pytest
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
+from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
+from motorhil.harness.conformance.target import Target
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.rig import installed_plugins
-from tests.conformance.variants import VARIANTS, VENDORS, of_vendor, text_of
+from tests.conformance.variants import BENCHES, OTHERS, VARIANTS, VENDORS, of_vendor, text_of
 
 CLAUSES = all_clauses()
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"
@@ -51,6 +53,12 @@ def test_variant_is_not_accused(tmp_path, name):
     assert accusations(opener_of(tmp_path, *VARIANTS[name]), names) == []
 
 
+@pytest.mark.parametrize(("kind", "name"), OTHERS)
+def test_varied_motor_of_another_kind_is_not_accused(kind, name):
+    names = list(CLAUSES)[OTHERS.index((kind, name)) :: 2 * _STRIDE]
+    assert accusations(Target(Job(kind)).opener(None, name), names) == []
+
+
 @pytest.mark.data
 @pytest.mark.parametrize("file", VENDORS)
 def test_vendor_drive_is_not_accused(tmp_path, shared, file):
@@ -63,6 +71,14 @@ def test_vendor_drive_is_not_accused(tmp_path, shared, file):
 @pytest.mark.parametrize("name", VARIANTS)
 def test_variant_is_never_accused(tmp_path, name, seed):
     assert accusations(opener_of(tmp_path, *VARIANTS[name], seed=seed), CLAUSES) == []
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(1, 51))
+@pytest.mark.parametrize("kind", BENCHES)
+def test_motor_of_another_kind_is_never_accused(kind, seed):
+    name = BENCHES[kind][seed % len(BENCHES[kind])]
+    assert accusations(Target(Job(kind, seed=seed)).opener(None, name), CLAUSES) == []
 
 
 def verdict_of(clause, opener):

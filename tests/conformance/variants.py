@@ -5,8 +5,14 @@ import tempfile
 from pathlib import Path
 
 from motorhil.harness.conformance.benches import variations
-from motorhil.harness.conformance.benches.variations import VARIATIONS, Change, of_drive
-from tests.support.kit_benches import RIGS
+from motorhil.harness.conformance.benches.variations import (
+    OWN,
+    VARIATIONS,
+    Change,
+    applicable,
+    of_drive,
+)
+from tests.support.kit_benches import KINDS, RIGS
 
 _SEEKING = "seeking_method = 17\n"
 _WITHOUT_CONSUMER = '\n[conformance.without]\ndead_man = "the file has no heartbeat consumer"\n'
@@ -37,10 +43,21 @@ _NO_RPDOS = [
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # an SDO is answered afterwards
     (_SEEKING, f"{_SEEKING}\n[conformance.without]\n{_BY_SDO}"),
 ]
-VARIANTS = {**VARIATIONS, "brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
+_CIA402 = (RIGS / "cia402.toml").read_text()
+VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402)}
+VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
 VARIANTS["position limits in the drive"] = of_drive(
     'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
 )
+BENCHES = {
+    kind: (OWN, *applicable((RIGS / f"{kind}.toml").read_text()))
+    for kind in KINDS
+    if kind != "cia402"
+}
+"""The benches of all other kinds: as they are, and varied."""
+OTHERS = [
+    (kind, name) for kind in ("dynamixel", "mit", "robstride") for name in BENCHES[kind] if name
+]
 VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
 
@@ -51,4 +68,4 @@ def of_vendor(file: Path) -> list[Change]:
 
 def text_of(changes: list[Change]) -> str:
     """Return the text of the kit's CiA 402 rig with these changes."""
-    return variations.text_of((RIGS / "cia402.toml").read_text(), changes)
+    return variations.text_of(_CIA402, changes)

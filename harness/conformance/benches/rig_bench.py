@@ -135,7 +135,10 @@ class RigBench:
 
     def _switch_on(self) -> None:
         self._scales: dict[str, float] = {}
-        self.rig: Rig = Rig(self._description, seed=self.seed, record=self._record)
+        record = self._record  # the doubts of a rig are read nowhere else
+        self.rig: Rig = Rig(
+            self._description, seed=self.seed, record=record, doubts=record is not None
+        )
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
 
         for bus in self._description.buses.values():

@@ -102,7 +102,23 @@ _ELASTIC = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
 
+_WATCHDOG: Final = "watchdog_s = 0.05\n"
+_REGISTERS: Final = "registers = { return_delay_time = 25 }\n"
+_VISCOUS: Final = "viscous_friction_n_m_s_rad = "
+_OF_OTHER_MOTORS: Final[Mapping[str, Sequence[Change]]] = {
+    "drive starts at 1 rad": [(_WATCHDOG, f"{_WATCHDOG}initial_position_rad = 1.0\n")],
+    "drive with a fast clock": [(_WATCHDOG, f"{_WATCHDOG}oscillator = {{ ppm = 100.0 }}\n")],
+    "more load than told": [("load_inertia_kg_m2 = 0.01", "load_inertia_kg_m2 = 0.012")],
+    "more friction": [("coulomb_friction_n_m = 0.02 }", "coulomb_friction_n_m = 0.025 }")],
+    "reversing servo": [("gear_ratio = 1.0", "gear_ratio = -1.0")],
+    "servo starts at -2 rad": [(_REGISTERS, f"{_REGISTERS}initial_position_rad = -2.0\n")],
+    "servo with a slow clock": [(_REGISTERS, f"{_REGISTERS}oscillator = {{ ppm = -100.0 }}\n")],
+    "servo with more friction": [(f"{_VISCOUS}0.00366", f"{_VISCOUS}0.0046")],
+}
+"""Those of drives with impedance control, and of servos, whose rigs have other places."""
+
 VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
+    **_OF_OTHER_MOTORS,
     "reversing gear": [("gear_ratio = 66.0", "gear_ratio = -66.0")],
     "linear axis": _LINEAR,
     "starts at 5 rad": of_drive("initial_position_rad = 5.0"),
@@ -157,7 +173,10 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     )
 }
 
-_GENERAL: Final = ("reversing gear", "starts at 5 rad", "fast clock", "slow clock")
+_GENERAL: Final = (
+    *("reversing gear", "starts at 5 rad", "fast clock", "slow clock"),
+    *_OF_OTHER_MOTORS,
+)
 """Variations that do not depend on the kind of the controllers."""
 NOT_VARIED: Final = ("a second program that takes the motor",)
 """Conditions that no variation makes yet; a run reports that they were not met."""

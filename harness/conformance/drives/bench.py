@@ -109,7 +109,9 @@ class EmulatedBench(_Bench):
         self._name = controller
         described = description.controllers[controller]
         with ExitStack() as cleanup:
-            self._rig = cleanup.enter_context(Rig(description, seed=seed, record=record))
+            self._rig = cleanup.enter_context(
+                Rig(description, seed=seed, record=record, doubts=record is not None)
+            )
             self.runtime: Runtime = self._rig.runtime
             self._rig.world.queue.alarm(self._time_is_up).set(round(limit_s * 1e9))
             client = Client(self._rig.bus(described.bus), self.runtime, node_of(described))

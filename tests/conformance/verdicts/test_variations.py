@@ -63,13 +63,14 @@ def test_text_without_the_place_of_a_change_is_refused():
         text_of("[rig]", VARIATIONS["reversing gear"])
 
 
-OTHER_MOTORS = ("dynamixel", "mit", "robstride")  # than the wheel that variations change
+OTHER_MOTORS = ("dynamixel", "mit", "robstride")  # than the wheel: with variations of their own
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_variation_of_a_kind_opens(kind):
     target = Target(Job(kind))
     assert ("reversing gear" in target.variations) is (kind not in OTHER_MOTORS)
+    assert target.variations
     for name in target.variations:
         with target.opener(None, name)() as bench:
             assert bench.name == f"{target.rig.name}, {name}"

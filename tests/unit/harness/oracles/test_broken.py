@@ -128,11 +128,18 @@ REACH = {  # of the sound story, counted by hand
     "following-bounded": 18,
     "torque-off": 3,  # at 405, 1555 and 1605 ms
     "fault-told": 1,
+    "commands-obeyed": 0,  # all controlwords come by RPDO
+    "mode-signs": 5,  # enabled in pp, after the first controlword with bit 4 = 0
+    "arrival-true": 3,
     "sync-period": 139,
     "heartbeat-kept": 25,
     "sdo-answered": 24,  # 21 read, 3 written
     "one-sender": 6,
     "no-reboot": 27,
+    "nmt-obeyed": 0,  # no node is reset, stopped or set back
+    "sdo-refusals": 0,
+    "errors-listed": 1,
+    "tpdo-times": 0,  # no transmission type is known
     "error-states": 4,  # warning, passive, bus-off, restarted
     "owner-commands": 7,  # 0Fh, 1Fh, 0Fh, 80h, and three objects written
 }
