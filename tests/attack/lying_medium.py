@@ -13,7 +13,7 @@ which no host can know.
 import struct
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from random import Random
@@ -21,6 +21,7 @@ from typing import Any, Final, final
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness import conformance
 from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
 from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
@@ -35,6 +36,7 @@ from tests.attack.campaign import Attack, Attempt, Done
 from tests.properties.fuzz.frames import frame
 from tests.support.motors.kinds import EVERY, Kind
 
+CONFORMANCE: Final = Path(conformance.__file__).parent / "rigs"
 MS: Final = 1_000_000
 DELAY_MAX_NS: Final = 300 * MS
 TROUBLE_BEGIN_S: Final = 0.4
@@ -64,17 +66,44 @@ class SilentlyWrong(AssertionError):  # noqa: N818 -- it says what happened
     """A call returned a value that was not true, or reported a motion done that was not."""
 
 
+@final
+@dataclass(frozen=True)
+class Streamed:
+    """A kind whose rig is that of its conformance tests.
+
+    Its frames are lost, delayed and repeated, not altered: they hold nothing that can be checked.
+    """
+
+    name: str
+    window: float
+    heard_s: float = 0.1
+
+    def rig(self) -> str:
+        """Return the rig file."""
+        return (CONFORMANCE / f"{self.name}.toml").read_text()
+
+
+STREAMED: Final = (
+    Streamed("mit", 0.006),
+    Streamed("robstride", 0.006),
+    Streamed("moteus", 0.002),
+    Streamed("vesc", 0.003),
+    Streamed("rmd", 0.003),
+    Streamed("dynamixel", 0.004),
+)
+
+
 def _on_tcp(kind: Kind) -> Kind:
     line = '[bus.line]\nkind = "modbus_tcp"\n'
     rest = kind.hardware[kind.hardware.index("[controller") :]
     return replace(kind, name=f"{kind.name} on TCP", hardware=line + rest)
 
 
-def kinds() -> dict[str, Kind]:
+def kinds() -> dict[str, Kind | Streamed]:
     """Return the kinds of hardware with a medium."""
     found = [kind for kind in EVERY.values() if kind.hardware]
     found += [_on_tcp(kind) for kind in found if "modbus_rtu" in kind.hardware]
-    return {kind.name: kind for kind in found}
+    return {kind.name: kind for kind in (*found, *STREAMED)}
 
 
 @cache
@@ -86,7 +115,7 @@ def _description(name: str) -> RigDescription:
 class Truth:
     """The true state of one motor during the time that a reading may be old."""
 
-    def __init__(self, rig: Rig, kind: Kind) -> None:
+    def __init__(self, rig: Rig, kind: Kind | Streamed) -> None:
         motor = rig.description.motors["left"]
         assert motor.controller is not None
         self._controller = motor.controller
@@ -140,7 +169,7 @@ class Trouble:
         rig: the rig.
         dice: decides everything.
         name: of the run, for its rules.
-        lie: sends a frame of the foreign node; None on a line.
+        lie: sends a frame of the foreign node on CANopen; None elsewhere.
     """
 
     def __init__(
@@ -148,6 +177,7 @@ class Trouble:
     ) -> None:
         self._rig = rig
         self._dice = dice
+        self._is_canopen = lie is not None
         self._rules: list[str] = []
         self.ends_ns = 0
         (self._bus,) = rig.description.buses
@@ -180,7 +210,7 @@ class Trouble:
 
     def _can(self, name: str, common: dict[str, Any]) -> FaultRule:
         dice = self._dice
-        kind = dice.choice(_CAN)
+        kind = dice.choice(_CAN if self._is_canopen else _CAN[:-1])  # the last one alters
         more: dict[str, Any] = {}
         if kind is FaultKind.DELAY:
             more = {"delay_ns": dice.randrange(1, DELAY_MAX_NS)}
@@ -189,7 +219,7 @@ class Trouble:
             flip[dice.randrange(4)] = 1 << dice.randrange(8)
             more = {"flip": bytes(flip), "identifier": dice.choice((0x581, 0x582))}
             common = {**common, "sender": None}
-        elif common["sender"] is None:
+        elif common["sender"] is None and self._is_canopen:
             more = {"identifier": dice.choice((0x181, 0x281, 0x581, 0x701))}
         return FaultRule(name, kind, **common, **more)
 
@@ -234,7 +264,7 @@ class Trouble:
 class Program:
     """A program with a motor under trouble: random calls, and what they must not do."""
 
-    def __init__(self, rig: Rig, kind: Kind, dice: Random) -> None:
+    def __init__(self, rig: Rig, kind: Kind | Streamed, dice: Random) -> None:
         self.motor: Motor = rig.motors["left"]
         self.reached: Counter[str] = Counter()
         self._rig, self._kind, self._dice = rig, kind, dice
@@ -338,7 +368,10 @@ def attack(name: str, seed: str) -> Done:
         program = Program(rig, kind, dice)
         program.motor.enable()
         (bus,) = rig.description.buses.values()
-        liar = None if bus.is_line else rig.world.add_host(bus.name, "liar", lambda *_: None).send
+        is_canopen = not bus.is_line and not isinstance(kind, Streamed)
+        liar = (
+            None if not is_canopen else rig.world.add_host(bus.name, "liar", lambda *_: None).send
+        )
         for run in range(RUNS):
             trouble = Trouble(rig, dice, f"run {run}, trouble", liar)
             program.run()
