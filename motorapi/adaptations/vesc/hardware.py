@@ -10,7 +10,9 @@ in its status frames. So the host does three things at all times:
 - It sends ALIVE while it is the last commander, as the controller releases its motor otherwise.
 
 The position combines the angle (STATUS_4, fine, of few turns) and the tachometer (STATUS_5, coarse,
-of all turns since power-on). At power-on it is 0 to a span of angles.
+of all turns since power-on). At power-on it is 0 to a span of angles. A loss of frames does not
+change the position at power-on; a restart does. The tachometer or a notice of the drive tells which
+it was.
 
 Source: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
 """
@@ -181,7 +183,11 @@ class VescHwMotor:
         self._firmware: tuple[int, int] | None = None
         self._velocity = 0.0
         self._angle: float | None = None
+        self._angle_ns = 0
         self._power_on: float | None = None  # position at power-on [turns], 0 to a span
+        self._tachometer = (0.0, 0.0, 0)  # the last one [turns], velocity then, time [ns]
+        self._is_kept = False  # whether the position at power-on is from before the last loss
+        self._is_doubtful = False  # whether no tachometer has confirmed that yet
         self._packet = b""
         self._since_ns = 0  # first frame since the drive was lost
         self._asks = self._is_known = False  # whether it was connected once
@@ -366,26 +372,45 @@ class VescHwMotor:
     def _on_angle(self, data: bytes, time_ns: int) -> None:
         if len(data) == _ANGLE.size:
             self._angle = _ANGLE.unpack(data)[0] / 18_000.0 * self.options.position_turns
+            self._angle_ns = time_ns
 
     def _on_tachometer(self, data: bytes, time_ns: int) -> None:
         angle, span = self._angle, self.options.position_turns
         if len(data) != _TACHOMETER.size or angle is None:
             return
         turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
-        if self._power_on is None:
-            self._power_on = (angle - turns) % span
+        offset = angle + self._velocity * (time_ns - self._angle_ns) / 1e9 - turns
+        if self._power_on is None or self._has_restarted(self._power_on, offset, turns, time_ns):
+            self._power_on = offset % span
             if self._power_on > span - _NEAR:
                 self._power_on -= span
+            self._is_kept = False
+        self._tachometer = turns, self._velocity, time_ns
         position = angle + span * round((self._power_on + turns - angle) / span)
         before = self.estimate
         if before is not None:
             possible = abs(self._velocity) + abs(before.velocity)
             possible *= (time_ns - before.time_ns) / 1e9
             if abs(position - before.position) > _FOLLOW_MAX * span + possible:
-                self._lose()  # the drive has restarted, and its tachometer too
+                self._restart()
                 return
         self.estimate = Estimate(position, self._velocity, time_ns)
         self._check_following(position)
+
+    def _has_restarted(self, power_on: float, offset: float, turns: float, now_ns: int) -> bool:
+        """Return whether the first tachometer after a loss begins anew.
+
+        `offset` is the present angle minus the tachometer, which tells the position at power-on
+        but for whole spans.
+        """
+        if not self._is_doubtful:
+            return False
+        self._is_doubtful = False
+        span, speed = self.options.position_turns, abs(self._velocity)
+        before, velocity, time_ns = self._tachometer
+        difference = (offset - power_on + span / 2.0) % span - span / 2.0
+        possible = 1.0 + (speed + abs(velocity)) * (now_ns - time_ns) / 1e9
+        return abs(difference) > _NEAR + speed * _STATUS_S or abs(turns - before) > possible
 
     def _check_following(self, position: float) -> None:
         """Stop a motion whose motor is so far behind that the controller would turn back."""
@@ -406,8 +431,8 @@ class VescHwMotor:
 
     def _on_boot(self, data: bytes, time_ns: int) -> None:
         """Note a restart; the notice of a start comes half a second after the first frames."""
-        if time_ns - self._since_ns > _BOOTED_NS:
-            self._lose()
+        if time_ns - self._since_ns > _BOOTED_NS or self._is_kept:
+            self._restart()
 
     def _on_answer(self, data: bytes, time_ns: int) -> None:
         if data[:1] != bytes((self.node_id,)) or data[2:7] != _FAULT_MASK or len(data) < 8:
@@ -451,5 +476,11 @@ class VescHwMotor:
 
     def _lose(self) -> None:
         self.forget()
-        self._firmware = self._power_on = self._angle = self.estimate = None
+        self._firmware = self._angle = self.estimate = None
         self.reports = 0
+        self._is_kept = self._is_doubtful = self._power_on is not None
+
+    def _restart(self) -> None:
+        """Forget also what began anew with the drive."""
+        self._power_on = None
+        self._lose()

@@ -9,6 +9,7 @@ from pathlib import Path
 import can
 import pytest
 
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
@@ -40,7 +41,7 @@ erpm_min = 10.0
 erpm_ramp_s = 100_000.0"""
 
 
-def opened(drive=GAINS, motor=WIDE, node=23, velocity=2.0, gear=66.0, within=0.01):
+def opened(drive=GAINS, motor=WIDE, node=23, velocity=2.0, gear=66.0, within=0.01, seed=0):
     """Return a rig of one VESC."""
     text = (
         "bus.can0.bitrate_bit_s = 500_000\n"
@@ -49,7 +50,7 @@ def opened(drive=GAINS, motor=WIDE, node=23, velocity=2.0, gear=66.0, within=0.0
         f'[motor.left]\nadaptation = "vesc"\ncontroller = "left"\n{motor}\n'
         f"[motor.left.model]\n{MODEL.format(velocity, gear, within)}"
     )
-    return Rig(parse_rig(Source(Path("vesc.toml"), text), installed_plugins()))
+    return Rig(parse_rig(Source(Path("vesc.toml"), text), installed_plugins()), seed=seed)
 
 
 def go_to(motor, target, variable=ControlVariable.POSITION):
@@ -133,7 +134,7 @@ def test_position_is_that_of_another_program_afterwards():
     with opened() as rig:
         go_to(rig.motors["left"], 3.0)
         rig.motors["left"].wait_until_done(timeout_s=10)
-        rig.motors["left"].hardware._lose()  # what a new program knows
+        rig.motors["left"].hardware._restart()  # what a new program knows
         assert rig.motors["left"].position() == pytest.approx(3.0, abs=0.005)
 
 
@@ -302,6 +303,29 @@ def test_restart_at_the_place_of_power_on_is_told_by_the_boot_notice():
             rig.controllers["left"].stimulate("power", power)
         rig.runtime.run_for(0.6)
         assert motor.state() is not MotorState.ENABLED
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_position_survives_lost_frames_in_motion(seed):
+    """An angle of before the loss, beside a tachometer of after it, once told a span too much."""
+    with opened(velocity=6.0, seed=seed) as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 4.0, ControlVariable.VELOCITY)
+        losses = 0
+        for number in range(8):
+            for name, probability in (("silence", 1.0), ("noise", 0.7)):
+                rule = FaultRule(
+                    f"{name}{number}", FaultKind.DROP, sender="left", probability=probability
+                )
+                rig.faults.inject("can0", rule)
+                rig.runtime.run_for(0.25)
+                losses += motor.hardware.drive.is_lost
+                rig.faults.lift("can0", rule.name)
+            if motor.hardware.estimate is not None:
+                assert motor.position() == pytest.approx(true(rig), abs=0.3)
+        assert losses >= 8
+        rig.runtime.run_for(2.0)
+        assert motor.position() == pytest.approx(true(rig), abs=0.005)
 
 
 def test_speeds_are_not_sent_ahead():
