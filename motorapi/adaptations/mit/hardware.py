@@ -48,6 +48,8 @@ _ANSWER_S: Final = 0.2
 _AGAIN_S: Final = 0.02
 _FLIGHT_S: Final = 0.001  # in which the answers to earlier requests come
 _WAY_RAD: Final = 0.5
+_WAYS: Final = 3  # of that length that must disagree, by ratios within a factor
+_ALIKE: Final = 1.15
 _RATIO: Final = (0.8, 1.25)
 
 
@@ -157,6 +159,7 @@ class MitHwMotor:
         self._is_asking = self._is_checked = False
         self._began_ns = self._deaf_ns = self._polled_ns = 0
         self._moved = self._summed = 0.0
+        self._ratios: list[float] = []  # velocity to way, of the last ways that disagreed
         self._others: set[str] = set()
         self._parameters: dict[int, float] = {}
         self._awaited: bytes | None = None  # the beginning of the answer to a reading
@@ -233,6 +236,7 @@ class MitHwMotor:
         sent = stream.begin()
         self._stream = self._started = stream
         self._moved = self._summed = 0.0
+        self._ratios.clear()
         self._set(plan)
         self.drive.confirm(sent)
 
@@ -349,9 +353,12 @@ class MitHwMotor:
                 self._ask()
 
     def _on_answer(self, can_id: int, data: bytes, time_ns: int) -> None:
-        if self._awaited is not None and data[:4] == self._awaited and len(data) == 8:
-            self._parameters[data[3]], self._awaited = struct.unpack_from("<f", data, 4)[0], None
-            return
+        is_read = data[:3] == bytes((self.frames.node_id, 0, _READ))
+        if is_read and self.frames.maker is Maker.DAMIAO and len(data) == 8:
+            if data[:4] == self._awaited:
+                self._parameters[data[3]] = struct.unpack_from("<f", data, 4)[0]
+                self._awaited = None
+            return  # a repeated one is no position near the end of the range
         answer = self.frames.answer(can_id, data)
         if isinstance(answer, str):
             self._others.add(answer)
@@ -384,17 +391,25 @@ class MitHwMotor:
         self.fault = code
 
     def _compare(self, before: Answer, answer: Answer, elapsed_s: float) -> None:
-        """Compare way and velocity: their ranges are wrong if they disagree."""
+        """Compare way and velocity: their ranges are wrong if they disagree, and always alike.
+
+        Answers that are late or lost disagree, too, but each time by another ratio.
+        """
         self._moved += answer.p - before.p
         self._summed += 0.5 * (answer.v + before.v) * elapsed_s
+        if abs(self._moved) < _WAY_RAD:
+            return
         low, high = _RATIO
-        if abs(self._moved) > _WAY_RAD and not low < self._summed / self._moved < high:
+        ratio = self._summed / self._moved
+        self._ratios = [] if low < ratio < high else [*self._ratios[1 - _WAYS :], ratio]
+        if len(self._ratios) == _WAYS and max(self._ratios) < _ALIKE * min(self._ratios):
             p, v = self.frames.ranges[:2]
             self.mismatch = (
                 f"{self.label}: positions changed by {self._moved:.3g} rad, but velocities tell"
                 f" {self._summed:.3g} rad; the ranges +-{p:g} rad and +-{v:g} rad/s are not those"
                 " of the drive; set drive, p_max_rad or v_max_rad_s"
             )
+        self._moved = self._summed = 0.0
 
     def _on_request(self, can_id: int, data: bytes, time_ns: int) -> None:
         """Handle a request of another program."""

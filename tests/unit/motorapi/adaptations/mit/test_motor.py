@@ -9,6 +9,7 @@ import can
 import pytest
 from motor_driver.canmotorlib import AK80_6_V2_PARAMS, uint_to_float
 
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
@@ -231,6 +232,33 @@ def test_right_ranges_are_not_accused():
         for target in (2.0, -2.0, 0.3, -8.0):
             go_to(motor, target)
             motor.wait_until_done(timeout_s=9)
+        assert motor.hardware.mismatch == ""
+
+
+def test_repeated_answer_about_a_parameter_is_no_position():
+    twice = FaultRule("twice", FaultKind.DUPLICATE, sender="left")
+    with opened("dm4310") as rig:
+        rig.faults.inject("can0", twice)
+        motor = rig.motors["left"]
+        told = []
+        motor.hardware.drive.news.listeners.append(lambda: told.append(motor.hardware.answer))
+        assert motor.position() == pytest.approx(0.0, abs=0.01)
+        rig.runtime.run_for(0.1)
+        assert rig.faults.fired()["twice"] > 3
+        assert all(abs(one.p) < 0.01 for one in told if one is not None)
+
+
+@pytest.mark.parametrize("probability", [0.1, 0.3, 0.6])
+def test_late_answers_accuse_no_range(probability):
+    late = FaultRule(
+        *("late", FaultKind.DELAY), sender="left", probability=probability, delay_ns=300_000_000
+    )
+    with opened("ak80_9_v2") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        rig.faults.inject("can0", late)
+        go_to(motor, 2.0)
+        rig.runtime.run_for(3.0)
         assert motor.hardware.mismatch == ""
 
 
