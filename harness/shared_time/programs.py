@@ -133,6 +133,10 @@ def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
     """
     with _started(rig, tell) as (processes, clock):
         joining = [one.name for one in rig.description.programs.values() if one.joins]
+        if not joining:
+            raise rig.description.error(
+                ("program",), "none of the programs joins the rig", "take joins = false out of one"
+            )
         try:
             clock.await_programs(joining, lambda name: processes[name].process.poll() is None)
         except JoinError as error:

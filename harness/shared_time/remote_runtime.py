@@ -33,13 +33,16 @@ class RemoteLink:
     def __init__(self, connection: socket.socket) -> None:
         self.is_open = True
         self._connection: Final = connection
+        # Bound before the program's own waits for sockets are refused.
+        self._send: Final = connection.send
+        self._receive: Final = connection.recv
 
     def send(self, record: bytes) -> None:
         """Send a record; raise UsageError if the rig has ended."""
         if not self.is_open:
             raise UsageError(GONE)
         try:
-            self._connection.send(record)
+            self._send(record)
         except OSError:
             self.is_open = False
             raise UsageError(GONE) from None
@@ -48,7 +51,7 @@ class RemoteLink:
         """Return the next record; raise UsageError if the rig has ended."""
         if self.is_open:
             try:
-                record = self._connection.recv(records.RECORD_MAX)
+                record = self._receive(records.RECORD_MAX)
             except OSError:
                 record = b""
             if record:
@@ -61,7 +64,7 @@ class RemoteLink:
         if self.is_open:
             self.is_open = False
             with suppress(OSError):
-                self._connection.send(bytes([records.LEAVE]))
+                self._send(bytes([records.LEAVE]))
         self._connection.close()
 
 

@@ -155,6 +155,11 @@ def test_program_beside_the_rig_runs_on_the_wall(run):
     assert "shell: here" in lines
 
 
+def test_rig_of_programs_beside_it_is_refused(run):
+    with pytest.raises(RigError, match="none of the programs joins the rig"):
+        run(program("shell", "true", joins="false"))
+
+
 def test_missing_command_is_named_with_its_line(run):
     with pytest.raises(RigError, match=r'rig.toml:\d+: .*"no-such-program" cannot be started'):
         run(program("one", "no-such-program"))
