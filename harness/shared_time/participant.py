@@ -59,10 +59,10 @@ class Participant:
     """
 
     def __init__(self, name: str, connection: socket.socket, seat: Seat) -> None:
-        self.name: Final = name
-        self.connection: Final = connection
+        self.name: Final[str] = name
+        self.connection: Final[socket.socket] = connection
         self.is_gone = False
-        self._seat: Final = seat
+        self._seat: Final[Seat] = seat
         self._has_turn = False
         self._ready = records.NO_WAIT
         self._checked = 0

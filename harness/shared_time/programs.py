@@ -52,9 +52,9 @@ class _Process:
         folder: Path,
         tell: Callable[[str], None],
     ) -> None:
-        self.description: Final = description
+        self.description: Final[ProgramDescription] = description
         self.was_ended = False
-        self._tell: Final = tell
+        self._tell: Final[Callable[[str], None]] = tell
         self._line = b""
         command = list(description.command)
         if command[0] in ("python", "python3"):

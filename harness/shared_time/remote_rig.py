@@ -44,7 +44,7 @@ class RemoteRig:
     """
 
     def __init__(self, name: str, path: Path, connection: socket.socket, shared_at: str) -> None:
-        self.name: Final = name
+        self.name: Final[str] = name
         self.description: Final[RigDescription] = describe(path)
         link = RemoteLink(connection)
         link.send(records.numbered(records.JOIN, records.VERSION, name))
@@ -54,14 +54,14 @@ class RemoteRig:
         _, _, now_ns, seed = records.WELCOMED.unpack_from(record)
         buses: dict[str, int | None] = json.loads(record[records.WELCOMED.size :])
         self.seed: Final[int] = seed
-        self.runtime: Final = RemoteRuntime(link, now_ns)
+        self.runtime: Final[RemoteRuntime] = RemoteRuntime(link, now_ns)
         self._cleanup = ExitStack()
         self._cleanup.callback(link.close)
         self._cleanup.callback(self.runtime.close)
         world = RemoteWorld(buses, link, self.runtime)
         open_rig(world, self.runtime, shared_at)
         self._cleanup.callback(close_rig, world)
-        self._plugins: Final = RigPlugins(self.description)
+        self._plugins: Final[RigPlugins] = RigPlugins(self.description)
         self._models: Final = read_models(self.description)
         self._buses: Final = Named("bus", buses, self._bus)
         self.motors: Mapping[str, Motor] = Named("motor", self.description.motors, self._motor)

@@ -32,10 +32,10 @@ class RemoteLink:
 
     def __init__(self, connection: socket.socket) -> None:
         self.is_open = True
-        self._connection: Final = connection
+        self._connection: Final[socket.socket] = connection
         # Bound before the program's own waits for sockets are refused.
-        self._send: Final = connection.send
-        self._receive: Final = connection.recv
+        self._send: Final[Callable[[bytes], int]] = connection.send
+        self._receive: Final[Callable[[int], bytes]] = connection.recv
 
     def send(self, record: bytes) -> None:
         """Send a record; raise UsageError if the rig has ended."""
@@ -99,7 +99,7 @@ class RemoteRuntime(VirtualRuntime):
         super().__init__(EventQueue())
         self.queue.run_until(now_ns)
         self.ports: dict[int, tuple[FrameListener, FrameListener]] = {}
-        self._link: Final = link
+        self._link: Final[RemoteLink] = link
         self._periods: dict[int, Callable[[], None]] = {}
         self._next_period = 1
         self._next_wait = 1

@@ -31,11 +31,11 @@ class RemotePort:
     """
 
     def __init__(self, name: str, number: int, link: "RemoteLink", runtime: "RemoteRuntime"):
-        self.name: Final = name
-        self.number: Final = number
-        self._link: Final = link
-        self._runtime: Final = runtime
-        self._head: Final = records.NUMBERED.pack(records.SEND, number)
+        self.name: Final[str] = name
+        self.number: Final[int] = number
+        self._link: Final[RemoteLink] = link
+        self._runtime: Final[RemoteRuntime] = runtime
+        self._head: Final[bytes] = records.NUMBERED.pack(records.SEND, number)
 
     def send(self, frame: bytes) -> None:
         """Queue the frame for the bus."""
@@ -54,9 +54,11 @@ class RemoteWorld:
     def __init__(
         self, buses: Mapping[str, int | None], link: "RemoteLink", runtime: "RemoteRuntime"
     ) -> None:
-        self._buses: Final = {name: RemoteBus(rate) for name, rate in buses.items()}
-        self._link: Final = link
-        self._runtime: Final = runtime
+        self._buses: Final[dict[str, RemoteBus]] = {
+            name: RemoteBus(rate) for name, rate in buses.items()
+        }
+        self._link: Final[RemoteLink] = link
+        self._runtime: Final[RemoteRuntime] = runtime
         self._ports: dict[str, RemotePort] = {}
 
     def bus_names(self) -> list[str]:

@@ -75,20 +75,20 @@ class SharedClock:
         end: Callable[[str], None],
         await_end: Callable[[str], None],
     ) -> None:
-        self.world: Final = world
-        self.runtime: Final = runtime
-        self.path: Final = path
+        self.world: Final[World] = world
+        self.runtime: Final[VirtualRuntime] = runtime
+        self.path: Final[Path] = path
         self.turns = 0
         self.left: dict[str, str] = {}
-        self._seed: Final = seed
-        self._tell: Final = tell
-        self._stalls_s: Final = stalls_s
-        self._end: Final = end
-        self._await_end: Final = await_end
+        self._seed: Final[int] = seed
+        self._tell: Final[Callable[[str, str, str], None]] = tell
+        self._stalls_s: Final[Mapping[str, float]] = stalls_s
+        self._end: Final[Callable[[str], None]] = end
+        self._await_end: Final[Callable[[str], None]] = await_end
         self._programs: list[Participant] = []
-        self._poll: Final = select.poll()
+        self._poll: Final[select.poll] = select.poll()
         self._outputs: dict[int, Callable[[], bool]] = {}
-        self._listener: Final = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener: Final[socket.socket] = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         mask = os.umask(0o177)
         try:
             self._listener.bind(str(path))

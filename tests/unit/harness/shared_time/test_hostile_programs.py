@@ -8,7 +8,7 @@ import pytest
 
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.shared_clock import JoinError
-from tests.support.shared_programs import begin, guest, new_world, shared_clock
+from tests.support.programs.clock_sharers import begin, guest, new_world, shared_clock
 
 CASES = 150
 KINDS = [*range(records.JOIN, records.LEAVE + 1), 0, 1, 33, 255]

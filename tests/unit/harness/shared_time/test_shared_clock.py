@@ -4,7 +4,7 @@ from random import Random
 
 import pytest
 
-from tests.support.shared_programs import in_one_process, steps, with_shared_clock
+from tests.support.programs.clock_sharers import in_one_process, steps, with_shared_clock
 
 SEEDS = 40
 MORE = 1_000
