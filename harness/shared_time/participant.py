@@ -61,7 +61,7 @@ class Participant:
     def __init__(self, name: str, connection: socket.socket, seat: Seat) -> None:
         self.name: Final[str] = name
         self.connection: Final[socket.socket] = connection
-        self.is_gone = False
+        self.is_gone: bool = False
         self._seat: Final[Seat] = seat
         self._has_turn = False
         self._ready = records.NO_WAIT

@@ -31,7 +31,7 @@ class RemoteLink:
     """
 
     def __init__(self, connection: socket.socket) -> None:
-        self.is_open = True
+        self.is_open: bool = True
         self._connection: Final[socket.socket] = connection
         # Bound before the program's own waits for sockets are refused.
         self._send: Final[Callable[[bytes], int]] = connection.send

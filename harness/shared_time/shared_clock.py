@@ -78,7 +78,7 @@ class SharedClock:
         self.world: Final[World] = world
         self.runtime: Final[VirtualRuntime] = runtime
         self.path: Final[Path] = path
-        self.turns = 0
+        self.turns: int = 0
         self.left: dict[str, str] = {}
         self._seed: Final[int] = seed
         self._tell: Final[Callable[[str, str, str], None]] = tell
