@@ -5,8 +5,10 @@ that a seed determines the order of all system calls. Their history must be that
 owner at a time, as in the attack on real processes.
 """
 
+import os
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -26,7 +28,7 @@ from motorhil.harness.sharing_tests.history import (
 )
 from motorhil.harness.sharing_tests.linearizability import require_linearizable
 from motorhil.motorapi.errors import MotorBusyError
-from motorhil.motorapi.locking import process_lock, takeover
+from motorhil.motorapi.locking import process_lock, takeover, witness
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
 from motorhil.motorapi.runtime.api import Runtime
@@ -142,11 +144,40 @@ class Party:
         read.returned(value=self.shared.value)
 
 
-def _run(parties: list[Party], folder: Path, dice: Random, reached: Counter[str]) -> None:
+@final
+class Files:
+    """The lock files of a schedule, of which each keeps its inode until the end.
+
+    Otherwise the chance of the file system would decide about the order of their witnesses.
+    """
+
+    def __init__(self) -> None:
+        self._numbers: Final[dict[int, int]] = {}
+        self._kept: Final[list[int]] = []
+
+    def number_of(self, inode: int) -> int:
+        """Return the inode's number in the order of first use, in place of its hash."""
+        return self._numbers.setdefault(inode, len(self._numbers))
+
+    def remove(self, path: Path) -> None:
+        """Remove the file from its folder, if it is there, and keep it open."""
+        with suppress(FileNotFoundError):
+            self._kept.append(os.open(path, os.O_RDONLY))
+            path.unlink()
+
+    def close(self) -> None:
+        """Close the files that were removed."""
+        for fd in self._kept:
+            os.close(fd)
+
+
+def _run(
+    parties: list[Party], folder: Path, files: Files, dice: Random, reached: Counter[str]
+) -> None:
     left, is_removed = list(parties), dice.random() < 0.2
     for _ in range(dice.randint(1, STOPS)):
         if is_removed and dice.random() < 0.3:
-            (folder / "pan").unlink(missing_ok=True)
+            files.remove(folder / "pan")
             reached["file removed"] += 1
         one = dice.choice(left)
         if dice.random() < 0.1:
@@ -166,9 +197,11 @@ def _run(parties: list[Party], folder: Path, dice: Random, reached: Counter[str]
 def attack(seed: str, folder: Path) -> Done:
     """Carry out one schedule and judge its history."""
     dice, reached = Random(seed), Counter[str]()
-    shared = Shared()
+    shared, files = Shared(), Files()
     with (
+        closing(files),
         stopped_at_calls(),
+        patch.object(witness, "_hash_of", files.number_of),
         patch.object(process_lock, "_TAKER_PATIENCE_NS", -1),
         patch.object(process_lock, "first_token", shared.now),
         patch.object(takeover, "first_token", shared.now),
@@ -177,7 +210,7 @@ def attack(seed: str, folder: Path) -> Done:
         if not is_new:
             _last(folder)
         parties = [Party(shared, folder, number, dice) for number in range(dice.choice((2, 3, 4)))]
-        _run(parties, folder, dice, reached)
+        _run(parties, folder, files, dice, reached)
         token = _last(folder)  # all have ended: the lock is free
     uses = shared.history.uses()
     if is_new or reached["file removed"]:  # an owner may have to ask again, behind others
