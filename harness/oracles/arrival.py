@@ -25,6 +25,7 @@ from motorhil.harness.oracles.base import (
     Oracle,
     Place,
     RecordingContext,
+    forget,
 )
 from motorhil.traces.decoding.events import DecodedEvent
 
@@ -104,8 +105,7 @@ class Arrival(Oracle):
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the targets of a node that has booted."""
-        for place in [place for place in self._ways if place[:2] == (bus, node)]:
-            del self._ways[place]
+        forget(self._ways, bus, node)
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool

@@ -9,7 +9,7 @@ motors, never by time.
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum
-from typing import ClassVar, Final, final
+from typing import ClassVar, Final, TypeVar, final
 
 from motorhil.harness.oracles.facts import Facts, Subject
 from motorhil.traces.decoding.attached_rig import RecordedNames
@@ -120,6 +120,16 @@ class Finding:
 
 
 Place = tuple[str, int, int]
+KeyT = TypeVar("KeyT", bound=tuple[object, ...])
+ValueT = TypeVar("ValueT")
+
+
+def forget(kept: "dict[KeyT, ValueT]", bus: str, node: int | None) -> None:
+    """Remove the entries of a node, or of all nodes of the bus (None); keys begin with both."""
+    for key in [key for key in kept if key[0] == bus and node in (None, key[1])]:
+        del kept[key]
+
+
 """Bus, node, axis from 1."""
 
 

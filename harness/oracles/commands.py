@@ -31,6 +31,7 @@ from motorhil.harness.oracles.base import (
     Oracle,
     Place,
     RecordingContext,
+    forget,
 )
 from motorhil.traces.decoding.cia402 import STATES
 from motorhil.traces.decoding.events import DecodedEvent, Kind
@@ -89,8 +90,7 @@ class CommandsObeyed(Oracle):
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the commands to a node that has booted."""
-        for place in [place for place in self._commanded if place[:2] == (bus, node)]:
-            del self._commanded[place]
+        forget(self._commanded, bus, node)
 
     def sdo(self, time_ns: int, bus: str, event: DecodedEvent, data: bytes) -> None:
         """Take the confirmation of a controlword."""
@@ -194,8 +194,7 @@ class ModeSigns(Oracle):
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the modes of a node that has booted."""
-        for place in [place for place in self._modes if place[:2] == (bus, node)]:
-            del self._modes[place]
+        forget(self._modes, bus, node)
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool

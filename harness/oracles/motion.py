@@ -29,6 +29,7 @@ from motorhil.harness.oracles.base import (
     Place,
     RecordingContext,
     Violation,
+    forget,
 )
 from motorhil.traces.schema import LockAction
 
@@ -255,8 +256,7 @@ class AtRest(Oracle):
 
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the rest of a node that has booted."""
-        for place in [place for place in self._rests if place[:2] == (bus, node)]:
-            del self._rests[place]
+        forget(self._rests, bus, node)
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool

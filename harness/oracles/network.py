@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final, final
 
-from motorhil.harness.oracles.base import MS, Axis, Oracle, RecordingContext, Violation
+from motorhil.harness.oracles.base import MS, Axis, Oracle, RecordingContext, Violation, forget
 from motorhil.traces.decoding.can_errors import BusError, ControllerState
 from motorhil.traces.decoding.canopen import place_text
 from motorhil.traces.decoding.events import DecodedEvent, Kind
@@ -100,8 +100,7 @@ class Heartbeats(Oracle):
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
         """Forget the heartbeats of reset nodes, which may be silent for a while."""
         if command in _RESETS:
-            for one in [one for one in self._beats if one[0] == bus and node in (None, one[1])]:
-                del self._beats[one]
+            forget(self._beats, bus, node)
 
     def heartbeat(self, time_ns: int, bus: str, node: int, state: int) -> None:
         """Examine the distance to the previous heartbeat."""
@@ -206,8 +205,7 @@ class Answers(Oracle):
 
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
         """Forget open requests, since a reset or stopped node does not answer."""
-        for one in [one for one in self._open if one[0] == bus and node in (None, one[1])]:
-            del self._open[one]
+        forget(self._open, bus, node)
 
     def end(self, time_ns: int) -> None:
         """Examine the last requests."""
@@ -315,8 +313,7 @@ class FaultsReported(Oracle):
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
         """Take the state of nodes: a stopped one sends no EMCY, and says nothing of that."""
         if command == _STOP:
-            for one in [one for one in self._ever if one[0] == bus and node in (None, one[1])]:
-                del self._ever[one]
+            forget(self._ever, bus, node)
 
     def emergency(self, time_ns: int, bus: str, node: int, code: int, register: int) -> None:
         """Settle all waiting faults of the node with an EMCY that has an error code."""

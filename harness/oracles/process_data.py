@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Final, final
 
-from motorhil.harness.oracles.base import MS, Axis, Oracle, RecordingContext, Violation
+from motorhil.harness.oracles.base import MS, Axis, Oracle, RecordingContext, Violation, forget
 
 _FIRST: Final = 0x1800
 _TPDOS: Final = 16
@@ -79,8 +79,7 @@ class TpdoTimes(Oracle):
     def nmt(self, time_ns: int, bus: str, node: int | None, command: int) -> None:
         """Take a command, which starts or ends the TPDOs."""
         if node is None:
-            for one in [one for one in self._started if one[0] == bus]:
-                del self._started[one]
+            forget(self._started, bus, None)
         self._started[bus, node] = command == _START
         self._forget(bus, node)
         for bus_of, node_of, number in self._series:

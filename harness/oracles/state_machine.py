@@ -33,6 +33,7 @@ from motorhil.harness.oracles.base import (
     Place,
     RecordingContext,
     Violation,
+    forget,
 )
 from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, state_number
 
@@ -154,8 +155,7 @@ class StateMachine(Oracle):
     def boot(self, time_ns: int, bus: str, node: int) -> None:
         """Forget the commands to a node that has booted."""
         self._booted[bus, node] = None
-        for place in [place for place in self._observed if place[:2] == (bus, node)]:
-            del self._observed[place]
+        forget(self._observed, bus, node)
 
     def value(
         self, time_ns: int, axis: Axis, index: int, subindex: int, value: int, is_written: bool
