@@ -127,7 +127,6 @@ class SharedClock:
                 joined[found.name] = found
         self._programs = [joined[name] for name in names]
         for program in self._programs:
-            self._poll.register(program.connection, select.POLLIN)
             program.begin()
 
     def _accept(self, missing: Sequence[str]) -> Participant | None:
@@ -166,6 +165,13 @@ class SharedClock:
 
     def receive(self, participant: Participant) -> bytes:
         """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
+        self._poll.register(participant.connection, select.POLLIN)
+        try:
+            return self._awaited(participant)
+        finally:
+            self._poll.unregister(participant.connection)
+
+    def _awaited(self, participant: Participant) -> bytes:
         connection = participant.connection
         stall_s = self._stalls_s[participant.name]
         asked_s = told_s = 0.0
@@ -209,8 +215,6 @@ class SharedClock:
 
     def departed(self, participant: Participant, reason: str) -> None:
         """Note that a program has gone."""
-        with contextlib.suppress(KeyError, ValueError):
-            self._poll.unregister(participant.connection)
         self.left[participant.name] = reason
         if reason:
             self._await_end(participant.name)

@@ -1,5 +1,6 @@
 """Programs that do not keep to the protocol are told by name, and end nothing else."""
 
+import select
 import socket
 import threading
 from random import Random
@@ -7,10 +8,13 @@ from random import Random
 import pytest
 
 from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time import shared_clock as shared_clock_module
 from motorhil.harness.shared_time.shared_clock import JoinError
 from tests.support.programs.clock_sharers import begin, guest, new_world, shared_clock
 
 CASES = 150
+POLL = select.poll
+RECEIVE = shared_clock_module.SharedClock.receive
 KINDS = [*range(records.JOIN, records.LEAVE + 1), 0, 1, 33, 255]
 
 
@@ -89,6 +93,35 @@ def test_silent_program_is_told_and_its_connection_closed(tmp_path):
     assert left["bad"] == "its connection has ended"
     assert [(name, level) for name, level, _ in told] == [("bad", "error"), ("bad", "warning")]
     assert "has kept the turn for 0.2 s" in told[0][2]
+
+
+def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
+    """A connection that has ended is readable for ever: waits for others must not look at it."""
+    asked, seen = [], []
+
+    class Watched:
+        def __init__(self):
+            self.poll_of = POLL()
+            self.register, self.unregister = self.poll_of.register, self.poll_of.unregister
+
+        def poll(self, timeout_ms):
+            ready = self.poll_of.poll(timeout_ms)
+            seen.extend((fd, asked[-1]) for fd, _ in ready)
+            return ready
+
+    def receive(clock, participant):
+        asked.append(participant.connection.fileno())
+        return RECEIVE(clock, participant)
+
+    def bad(path):
+        joined(path, "bad").close()
+
+    monkeypatch.setattr(shared_clock_module.select, "poll", Watched)
+    monkeypatch.setattr(shared_clock_module.SharedClock, "receive", receive)
+    left, _ = run_with(tmp_path / "clock", bad)
+    assert left["bad"] == "its connection has ended"
+    assert len(seen) > 10
+    assert [fd for fd, wanted in seen if fd != wanted] == []
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from random import Random
 
 import pytest
 
+from motorhil.harness.shared_time.shared_clock import SharedClock
 from tests.support.programs.clock_sharers import in_one_process, steps, with_shared_clock
 
 SEEDS = 40
@@ -43,8 +44,15 @@ def test_1000_seeds_make_frames_of_parties(tmp_path):
         require_equal(seed, tmp_path / f"{seed}")
 
 
-def test_comparison_detects_order_of_connecting(tmp_path, monkeypatch):
-    """Without the rig's order, programs would act in the order in which they connected."""
+def test_comparison_detects_another_order_of_programs(tmp_path, monkeypatch):
+    """Planted: the clock takes the programs in another order than the rig's."""
     programs = {name: [("send", 0.0, number)] for number, name in enumerate(("one", "two"))}
     swapped = dict(reversed(programs.items()))
     assert in_one_process(programs)[0] != in_one_process(swapped)[0]
+    await_programs = SharedClock.await_programs
+    monkeypatch.setattr(
+        SharedClock,
+        "await_programs",
+        lambda clock, names, is_alive: await_programs(clock, names[::-1], is_alive),
+    )
+    assert with_shared_clock(programs, tmp_path / "clock") != in_one_process(programs)
