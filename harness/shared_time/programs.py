@@ -42,7 +42,6 @@ class _Process:
     Attributes:
         description: its table in the rig.
         process: itself.
-        was_ended: True once this process has killed it.
     """
 
     def __init__(
@@ -53,7 +52,6 @@ class _Process:
         tell: Callable[[str], None],
     ) -> None:
         self.description: Final[ProgramDescription] = description
-        self.was_ended = False
         self._tell: Final[Callable[[str], None]] = tell
         self._line = b""
         command = list(description.command)
@@ -90,7 +88,6 @@ class _Process:
 
     def end(self) -> None:
         """Kill it and its children."""
-        self.was_ended = True
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
 

@@ -109,9 +109,11 @@ class RemoteRuntime(VirtualRuntime):
 
     def begin(self) -> None:
         """Wait for the first turn of the program."""
-        first = self.party_of_thread()
-        assert first is not None
-        self.wait_for_parties(_Once().is_over)
+        self.enrol(self._party_here())
+        waiter = self._waiters[-1]
+        self._pump(waiter)
+        if waiter.error is not None:
+            raise waiter.error
 
     def every(self, period_s: float, action: Callable[[], None]) -> "Registration":
         """Call `action` every `period_s` [s], first after one period; it must not wait."""
@@ -186,8 +188,7 @@ class RemoteRuntime(VirtualRuntime):
             elif kind == records.CHECK:
                 self._advance(records.CALL.unpack(record)[1])
         except Exception as error:  # of a listener: raised where a party waits
-            waiter = self._waiters[-1]
-            waiter.done, waiter.error = _at_once, error
+            self._waiters[-1].error = error
 
     def _tell_waits(self) -> None:
         """Tell the rig of waits that have begun or ended since the last turn."""
@@ -222,29 +223,11 @@ class RemoteRuntime(VirtualRuntime):
         """Return the number of the first wait whose condition holds, or 0."""
         for waiter in self._waiters:
             try:
-                holds = waiter.done()
+                is_ready = waiter.error is not None or waiter.done()
             except Exception as error:
-                waiter.error = error
-                holds = True
-            if holds:
+                waiter.error, is_ready = error, True
+            if is_ready:
                 for number, one in self._told.items():
                     if one is waiter:
                         return number
         return records.NO_WAIT
-
-
-@final
-class _Once:
-    """A condition that holds from the second look on."""
-
-    def __init__(self) -> None:
-        self._looks = 0
-
-    def is_over(self) -> bool:
-        """Return True from the second call on."""
-        self._looks += 1
-        return self._looks > 1
-
-
-def _at_once() -> bool:
-    return True

@@ -140,8 +140,9 @@ class CanDrive:
         self._told_token = -1
         self._connecting: Final = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
-        name = f"{where}-node{node}"
-        lock = None if where is None else ProcessLock(name, self.label, runtime=self.runtime)
+        lock: ProcessLock | None = None
+        if where is not None:
+            lock = ProcessLock(f"{where}-node{node}", self.label, runtime=self.runtime)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
             bus, node, self.label, owner, lock
         )

@@ -2,9 +2,9 @@
 
 Exchanges take place in the order of the requests, but a request that starts motions goes before
 those that wait. The protocol's `Codec` encodes and decodes; the runtime provides time, silence and
-deadlines. No request is sent twice: a request whose answer was
-lost may have been executed. A caller that cannot wait (a stop from inside a callback) *posts* its
-request. The request is sent as soon as the line is silent, before all others.
+deadlines. No request is sent twice: a request whose answer was lost may have been executed. A
+caller that cannot wait (a stop from inside a callback) *posts* its request. The request is sent as
+soon as the line is silent, before all others.
 
 A line that has ended or fails to send is opened anew before the next request; no request is sent
 again on it. On a serial line that is the device, unplugged and plugged in again.

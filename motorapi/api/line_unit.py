@@ -95,8 +95,9 @@ class LineUnit(ABC, Generic[RequestT, AnswerT]):
         self.timeout_s: Final = timeout_s
         self.label: Final = f"{line.name} unit {unit}"
         where = line_name(line) if can_share_time(runtime) else None
-        name = f"{where}-unit{unit}"
-        lock = None if where is None else ProcessLock(name, self.label, runtime=runtime)
+        lock: ProcessLock | None = None
+        if where is not None:
+            lock = ProcessLock(f"{where}-unit{unit}", self.label, runtime=runtime)
         self.physical: Final = register_physical_motor(line, unit, self.label, hardware, lock)
         self._hardware = hardware
         self.line: Final[ExchangeLine[RequestT, AnswerT]] = _open(self.LINE, line, runtime)

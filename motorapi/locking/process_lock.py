@@ -361,6 +361,18 @@ def _plain_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | N
     return runtime.wait_until(done, timeout_s)
 
 
+def _watching(wait: Wait) -> Wait:
+    """Return the wait, which in a shared time looks again after turns of other processes."""
+
+    def watching_wait(runtime: Runtime, done: Callable[[], bool], timeout_s: float | None) -> bool:
+        if not isinstance(runtime, SharedTime):
+            return wait(runtime, done, timeout_s)
+        with runtime.watching_processes():
+            return wait(runtime, done, timeout_s)
+
+    return watching_wait
+
+
 @final
 class LockRequest(NamedTuple):
     """A lock request; see the arguments of `ProcessLock.acquire`."""
@@ -420,11 +432,7 @@ class _Acquisition:
             if isinstance(runtime, Wakeable):
                 if self._wait_woken(mine, runtime.wake):
                     return
-            elif isinstance(runtime, SharedTime):
-                with runtime.watching_processes():
-                    if request.wait(runtime, lambda: self._is_mine(mine), timeout_s):
-                        return
-            elif not self._has_strangers(mine) and request.wait(
+            elif (can_share_time(runtime) or not self._has_strangers(mine)) and request.wait(
                 runtime, lambda: self._is_mine(mine), timeout_s
             ):
                 return
@@ -453,7 +461,7 @@ class _Acquisition:
         timeout_s = request.timeout_s
         if timeout_s is not None:
             timeout_s = max(timeout_s, _WRITE_PATIENCE_S)
-        if not _plain_wait(request.runtime, is_taken, timeout_s):
+        if not _watching(_plain_wait)(request.runtime, is_taken, timeout_s):
             raise self._busy(None)
 
     def _take_over(self, now_ns: int | None) -> bool:
@@ -698,7 +706,7 @@ class ProcessLock:
             runtime,
             timeout_s,
             asker or self.label,
-            wait or _plain_wait,
+            _watching(wait or _plain_wait),
             lease_ns,
             take_over,
             lambda number, reason: self._record(number, purpose, reason),
