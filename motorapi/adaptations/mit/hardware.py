@@ -143,6 +143,7 @@ class MitHwMotor:
         options: MitOptions | None = None,
     ) -> None:
         self.frames: Final = frames
+        self._reading: Final = bytes((frames.node_id, 0, _READ))  # begins answers of parameters
         self.options: Final = MitOptions() if options is None else options
         self.answer: Answer | None = None
         self.time_ns: int = 0
@@ -353,8 +354,8 @@ class MitHwMotor:
                 self._ask()
 
     def _on_answer(self, can_id: int, data: bytes, time_ns: int) -> None:
-        is_read = data[:3] == bytes((self.frames.node_id, 0, _READ))
-        if is_read and self.frames.maker is Maker.DAMIAO and len(data) == 8:
+        is_read = self.frames.maker is Maker.DAMIAO and data[:3] == self._reading
+        if is_read and len(data) == 8:
             if data[:4] == self._awaited:
                 self._parameters[data[3]] = struct.unpack_from("<f", data, 4)[0]
                 self._awaited = None
@@ -432,7 +433,7 @@ class MitHwMotor:
         """Compare the ranges that a Damiao drive tells with those of the model."""
         for one in range(_P_MAX, _P_MAX + 3):
             if one not in self._parameters:
-                self._awaited = bytes((self.frames.node_id, 0, _READ, one))
+                self._awaited = self._reading + bytes((one,))
                 self.drive.exchange(
                     partial(self.drive.request, _PARAMETERS, self._awaited + bytes(4)),
                     partial(self._parameters.__contains__, one),

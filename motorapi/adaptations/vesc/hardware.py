@@ -187,7 +187,6 @@ class VescHwMotor:
         self._power_on: float | None = None  # position at power-on [turns], 0 to a span
         self._tachometer = (0.0, 0.0, 0)  # the last one [turns], velocity then, time [ns]
         self._is_kept = False  # whether the position at power-on is from before the last loss
-        self._is_doubtful = False  # whether no tachometer has confirmed that yet
         self._packet = b""
         self._since_ns = 0  # first frame since the drive was lost
         self._asks = self._is_known = False  # whether it was connected once
@@ -380,7 +379,10 @@ class VescHwMotor:
             return
         turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
         offset = angle + self._velocity * (time_ns - self._angle_ns) / 1e9 - turns
-        if self._power_on is None or self._has_restarted(self._power_on, offset, turns, time_ns):
+        power_on, is_doubtful = self._power_on, self._is_kept and self.estimate is None
+        if power_on is None or (
+            is_doubtful and self._has_restarted(offset - power_on, turns, time_ns)
+        ):
             self._power_on = offset % span
             if self._power_on > span - _NEAR:
                 self._power_on -= span
@@ -397,18 +399,14 @@ class VescHwMotor:
         self.estimate = Estimate(position, self._velocity, time_ns)
         self._check_following(position)
 
-    def _has_restarted(self, power_on: float, offset: float, turns: float, now_ns: int) -> bool:
+    def _has_restarted(self, change: float, turns: float, now_ns: int) -> bool:
         """Return whether the first tachometer after a loss begins anew.
 
-        `offset` is the present angle minus the tachometer, which tells the position at power-on
-        but for whole spans.
+        `change` is that of the position at power-on, as it seems, and may be off by whole spans.
         """
-        if not self._is_doubtful:
-            return False
-        self._is_doubtful = False
         span, speed = self.options.position_turns, abs(self._velocity)
         before, velocity, time_ns = self._tachometer
-        difference = (offset - power_on + span / 2.0) % span - span / 2.0
+        difference = (change + span / 2.0) % span - span / 2.0
         possible = 1.0 + (speed + abs(velocity)) * (now_ns - time_ns) / 1e9
         return abs(difference) > _NEAR + speed * _STATUS_S or abs(turns - before) > possible
 
@@ -478,7 +476,7 @@ class VescHwMotor:
         self.forget()
         self._firmware = self._angle = self.estimate = None
         self.reports = 0
-        self._is_kept = self._is_doubtful = self._power_on is not None
+        self._is_kept = self._power_on is not None
 
     def _restart(self) -> None:
         """Forget also what began anew with the drive."""
