@@ -330,9 +330,10 @@ class MotorHooks(Device, ABC):
         """Send `motion` to the drive, which begins it at once; return when it was transmitted.
 
         It is absolute and within the limits; this hook applies the rounding of the hardware. A
-        drive that can hold a motion back until a signal implements `_arm` instead.
+        drive that can hold a motion back until a signal implements `_arm` instead; by default, its
+        trigger is fired at once.
         """
-        raise NotImplementedError  # __init__ has looked
+        self._arm(motion, together=False).fire()
 
     @abstractmethod
     def _stop(self) -> None:

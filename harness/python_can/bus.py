@@ -78,7 +78,7 @@ class HostPort(Protocol):
 
 
 class BusFacts(Protocol):
-    """What an application needs to know of a bus."""
+    """Facts of a bus that an application needs."""
 
     @property
     def data_bitrate_bit_s(self) -> int | None:

@@ -25,7 +25,7 @@ _PARTIES_MAX: Final = 1024
 
 
 class Seat(Protocol):
-    """What a participant needs of its rig."""
+    """The rig of a participant, as far as it needs that."""
 
     turns: int
     """How many turns programs have had."""

@@ -81,7 +81,7 @@ WELCOMED: Final = struct.Struct("<BHqq")
 
 @final
 class WaitFlags(IntFlag):
-    """What can end a wait, beside its deadline and the events of its own process."""
+    """Ends of a wait beside its deadline and the events of its own process."""
 
     PARTIES = 1
     PROCESSES = 2

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True)
 class RemoteBus:
-    """What a program knows of a bus: its data bit rate [bit/s], None for classical CAN."""
+    """Facts of a bus that a program knows: its data bit rate [bit/s], None for classical CAN."""
 
     data_bitrate_bit_s: int | None
 
