@@ -173,7 +173,7 @@ def _add_traffic(parser: argparse.ArgumentParser) -> None:
         "--max-pause",
         type=real(1.0, 1e9, "s"),
         metavar="S",
-        help="refuse a recording with a longer pause between two frames (default: a day)",
+        help="refuse a recording with a longer pause between two frames (default: an hour)",
     )
     add_span(traffic)
     traffic.add_argument(

@@ -8,7 +8,7 @@ The same code serves virtual time and wall time; it waits only in a Runtime.
 
 The cost of a replay grows with its frames, some 0.1 ms of processor time each, and in virtual time
 with the frames that the rig sends in between: some milliseconds for a second with ten heartbeats. A
-pause of a day therefore takes minutes. Longer ones are refused unless allowed, and so are damaged
+pause of an hour therefore takes seconds. Longer ones are refused unless allowed, and so are damaged
 stamps.
 """
 
@@ -26,7 +26,7 @@ from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import NS, Frame
 
 STUCK_S: Final = 2.0
-PAUSE_MAX_S: Final = 86_400.0
+PAUSE_MAX_S: Final = 3_600.0
 """The longest pause that is replayed by default [s]."""
 STRAY_NS: Final = 60 * NS
 """How far a stamp may be after both its neighbours, or before both [ns]."""

@@ -3,8 +3,10 @@
 Each use must end within 5 s of processor time and 300 MB, without a traceback, with a documented
 exit status. A file is at most 1 MB large, since a long recording rightly takes longer.
 
-A forked child puts a file through a few uses, which the attempt's number draws. If one of them may
-have done wrong, each is repeated in a child of its own, and judged there.
+An attempt has several files made from one original, each with a few uses, which its number draws.
+One forked child does them all, for a child costs more than most uses. If one of them may have done
+wrong, each is repeated in a child of its own, and judged there. Most recordings are short, so that
+damage meets every part of them; some are whole golden ones.
 """
 
 import contextlib
@@ -20,7 +22,7 @@ import tempfile
 import traceback
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -33,6 +35,8 @@ import zstandard
 from motorhil import emulators
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE, main
 from motorhil.harness.recording.conversion import MODBUS_PCAPNG
+from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi import ControlMode
 from motorhil.motorapi.locking.directory import VARIABLE, LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.runtime.wall import WallRuntime
@@ -40,6 +44,7 @@ from motorhil.traces.formats.registry import WRITABLE
 from motorhil.traces.mcap.records import MAGIC
 from tests.attack.campaign import Attack, Attempt, Done
 from tests.support.checkout import CHECKOUT
+from tests.support.golden import described
 from tests.support.motors.kinds import BUS, EVERY, MODEL
 from tests.support.recordings.formats import IS_THERE
 
@@ -54,7 +59,13 @@ _BOMB: Final = 256 << 20
 _TRACEBACK: Final = re.compile(r"Traceback \(most recent call last\)")
 _BROKEN: Final = 99
 _USES_A_FILE: Final = 2
+AT_ONCE: Final = 20
+"""Number of files of an attempt."""
+_LONG: Final = 0.02
+"""Share of the attempts with long recordings."""
+AT_ONCE_LONG: Final = 5
 _SIZE_MAX: Final = 1_000_000
+RECORDINGS: Final = ("cia402", "leadshine_tcp")
 _SCRIPT: Final = "import time\ntime.sleep(0.01)\n"
 
 RECORDED: Final = (
@@ -94,16 +105,27 @@ class Original:
         file: its name in the folder of a use; "{}" in a use stands for it.
         uses: command lines.
         is_text: damage it as text, too.
+        is_long: it takes long; fewer attempts have it.
     """
 
     data: bytes
     file: str
     uses: tuple[tuple[str, ...], ...]
     is_text: bool = False
+    is_long: bool = False
 
     def filled(self) -> list[tuple[str, ...]]:
         """Return the uses with the file's name."""
         return [tuple(word.format(self.file) for word in words) for words in self.uses]
+
+
+@final
+@dataclass(frozen=True)
+class Use:
+    """A command line, and the folder in which it is obeyed."""
+
+    folder: Path
+    words: tuple[str, ...]
 
 
 def _rig_text() -> str:
@@ -123,6 +145,17 @@ def _lock(folder: Path) -> bytes:
     with lock.acquire(runtime, "a"), lock.acquire(runtime, "b", owner=object(), take_over=True):
         (path,) = folder.iterdir()
         return path.read_bytes()
+
+
+def _short(name: str, path: Path) -> Path:
+    """Record the rig of a golden recording for a moment, and return the path."""
+    with Rig(described(name), record=path) as rig:
+        left = rig.motors["left"]
+        left.set_control_mode(ControlMode.SETPOINT)
+        left.set_setpoint(0.1)
+        left.start()
+        rig.runtime.run_for(0.01)
+    return path
 
 
 @final
@@ -161,23 +194,31 @@ class Folder:
         found["lock"] = Original(
             _lock(locks), "locks/pan", (("list", "motors"), ("list", "motors", "--json"))
         )
-        for name in ("cia402", "leadshine_tcp"):
-            data = (GOLDEN / f"{name}.mcap").read_bytes()
-            found[f"mcap of {name}"] = Original(data, "it.mcap", RECORDED)
-        for form in (one for one in WRITABLE if IS_THERE[one.name]):
-            path = self.path / f"whole{form.ending}"
-            _quietly("convert", str(GOLDEN / "cia402.mcap"), "-o", str(path), "--to", form.name)
-            is_text = form.name not in ("blf", "pcapng", "mf4")
-            found[form.name] = Original(path.read_bytes(), f"it{form.ending}", RECORDED, is_text)
-        path = self.path / "modbus.pcapng"
-        source = str(GOLDEN / "leadshine_tcp.mcap")
-        _quietly("convert", source, "-o", str(path), "--to", MODBUS_PCAPNG)
-        found[MODBUS_PCAPNG] = Original(path.read_bytes(), "it.pcapng", RECORDED)
+        recordings = {name: GOLDEN / f"{name}.mcap" for name in RECORDINGS}
+        found |= self._recorded("long ", recordings, is_long=True)
+        recordings = {name: _short(name, self.path / f"{name}.mcap") for name in RECORDINGS}
+        return found | self._recorded("", recordings, is_long=False)
+
+    def _recorded(self, long: str, of: Mapping[str, Path], is_long: bool) -> dict[str, Original]:
+        """Return the recordings, and the first of them in all formats."""
+        found = {}
+        for name, path in of.items():
+            found[f"{long}mcap of {name}"] = Original(
+                path.read_bytes(), "it.mcap", RECORDED, is_long=is_long
+            )
+        forms = {one.name: one.ending for one in WRITABLE if IS_THERE[one.name]}
+        for form, ending in (*forms.items(), (MODBUS_PCAPNG, ".pcapng")):
+            path = self.path / f"{long}whole{ending}"
+            source = of[RECORDINGS[form == MODBUS_PCAPNG]]
+            _quietly("convert", str(source), "-o", str(path), "--to", form, "--force")
+            is_text = form not in ("blf", "pcapng", "mf4", MODBUS_PCAPNG)
+            data = path.read_bytes()
+            found[long + form] = Original(data, f"it{ending}", RECORDED, is_text, is_long)
         return found
 
-    def lay_out(self, original: Original, data: bytes) -> Path:
-        """Return a new folder with the whole files and the damaged one."""
-        folder = self.path / "use"
+    def lay_out(self, original: Original, data: bytes, name: str = "use") -> Path:
+        """Return a new folder of this name with the whole files and the damaged one."""
+        folder = self.path / name
         shutil.rmtree(folder, ignore_errors=True)
         (folder / "locks").mkdir(parents=True, mode=0o700)
         (folder / "locks").chmod(0o700)
@@ -255,7 +296,7 @@ def _bomb(data: bytearray, dice: Random) -> None:
 Kind = Callable[[bytearray, Random], None]
 BINARY: Final[tuple[Kind, ...]] = (_flips, _flips, _cut, _blown_up, _blown_up, _splice, _splice)
 TEXT: Final = (*BINARY, _numbers, _numbers, _numbers)
-RARE: Final = 0.05
+RARE: Final = 0.01
 
 
 def damage(original: Original, dice: Random) -> bytes:
@@ -314,24 +355,23 @@ def use(words: Sequence[str], folder: Path) -> int:
     Raises:
         AssertionError: it took too long or too much, left a traceback, or another exit status.
     """
-    ran = run_in_child((words,), folder)
+    ran = run_in_child((Use(folder, tuple(words)),))
     wrong = ran.problems(SECONDS_MAX)
     if wrong:
-        raise AssertionError(f"{' '.join((*words[:1], *words[-2:]))}: {', '.join(wrong)}")
+        raise AssertionError(f"{' '.join(words)}: {', '.join(wrong)}")
     (status,) = ran.statuses
     return status
 
 
-def run_in_child(
-    uses: Sequence[Sequence[str]], folder: Path, run: Callable[[Sequence[str]], int] | None = None
-) -> Ran:
-    """Run the command lines one after another in a child; `run` obeys one, by default `main`."""
+def run_in_child(uses: Sequence[Use], run: Callable[[Sequence[str]], int] | None = None) -> Ran:
+    """Make the uses one after another in a child; `run` obeys one, by default `main`."""
+    folder = uses[0].folder
     heard, told = folder / "heard", folder / "told"
     for path in (heard, told):
         path.write_bytes(b"")
     pid = os.fork()
     if pid == 0:
-        _be_child(uses, folder, run or main)
+        _be_child(uses, run or main)
     killer = _Killer(pid)
     try:
         _, status, used = os.wait4(pid, 0)
@@ -359,13 +399,10 @@ class _Killer:
         signal.signal(signal.SIGALRM, self._before)
 
 
-def _be_child(
-    uses: Sequence[Sequence[str]], folder: Path, run: Callable[[Sequence[str]], int]
-) -> None:
+def _be_child(uses: Sequence[Use], run: Callable[[Sequence[str]], int]) -> None:
     status = _BROKEN
     try:
-        os.chdir(folder)
-        os.environ[VARIABLE] = str(folder / "locks")
+        folder = uses[0].folder
         out = os.open(folder / "heard", os.O_WRONLY)
         null = os.open(os.devnull, os.O_RDONLY)
         for one, where in ((0, null), (1, out), (2, out)):
@@ -374,8 +411,10 @@ def _be_child(
         resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
         resource.setrlimit(resource.RLIMIT_CPU, (2 * SECONDS_MAX, 2 * SECONDS_MAX))
         with (folder / "told").open("wb", buffering=0) as report:
-            for words in uses:
-                report.write(b"%d\n" % run(words))
+            for one_use in uses:
+                os.chdir(one_use.folder)
+                os.environ[VARIABLE] = str(one_use.folder / "locks")
+                report.write(b"%d\n" % run(one_use.words))
         status = 0
     except BaseException:
         traceback.print_exc(file=sys.__stderr__)
@@ -391,7 +430,7 @@ def _import_what_is_used(folder: Folder) -> None:
     for name in ("rig", "lock", "mcap of cia402"):
         original = folder.originals[name]
         where = folder.lay_out(original, original.data)
-        run_in_child(original.filled(), where, _list_modules)
+        run_in_child([Use(where, words) for words in original.filled()], _list_modules)
         for module in (where / "modules").read_text().split():
             with contextlib.suppress(ImportError):
                 import_module(module)
@@ -403,49 +442,66 @@ def _list_modules(words: Sequence[str]) -> int:
     return status
 
 
-def begin(seed: int, verb: str | None = None) -> Attempt:
-    """Return the attempts: one damaged file each, through some of its uses, or all of this verb."""
+def begin(seed: int, verb: str | None = None, files: int = AT_ONCE) -> Attempt:
+    """Return the attempts: `files` damaged ones through some uses, or all of this verb."""
     folder = Folder()
-    names = list(folder.originals)
+    names = [name for name, one in folder.originals.items() if not one.is_long]
+    names_long = [name for name, one in folder.originals.items() if one.is_long]
     _import_what_is_used(folder)
     gc.collect()
     gc.freeze()  # children would copy every page that their collector visits
 
-    def attempt(number: int) -> Done:
-        name = names[number % len(names)]
-        original = folder.originals[name]
-        dice = Random(f"{seed}:{number}")
-        data = damage(original, dice)
-        uses = original.filled()
+    def drawn(original: Original, dice: Random) -> tuple[bytes, list[tuple[str, ...]]]:
+        data, uses = damage(original, dice), original.filled()
         if verb is None:
-            uses = dice.sample(uses, min(_USES_A_FILE, len(uses)))
-        else:
-            uses = [words for words in uses if words[0] == verb]
-        ran = run_in_child(uses, folder.lay_out(original, data))
-        statuses = list(ran.statuses)
-        if ran.problems(SECONDS_MAX):
-            statuses = _one_by_one(name, uses, lambda: folder.lay_out(original, data))
-        reached = Counter({name: 1})
-        for words, status in zip(uses, statuses, strict=True):
-            reached[f"{name}: {words[0]}"] += 1
-            reached[f"{words[0]}: exit status {status}"] += 1
-        return Done(1, repr(sorted(reached.items())).encode(), reached)
+            return data, dice.sample(uses, min(_USES_A_FILE, len(uses)))
+        return data, [words for words in uses if words[0] == verb]
+
+    def attempt(number: int) -> Done:
+        dice = Random(f"{seed}:{number}")
+        is_long = dice.random() < _LONG
+        name = dice.choice(names_long) if is_long else names[number % len(names)]
+        original = folder.originals[name]
+        damaged = [
+            drawn(original, dice) for _ in range(min(files, AT_ONCE_LONG) if is_long else files)
+        ]
+        uses = [
+            Use(folder.lay_out(original, data, f"use {place}"), words)
+            for place, (data, those) in enumerate(damaged)
+            for words in those
+        ]
+        reached = Counter({name: len(damaged)})
+        if uses:
+            ran = run_in_child(uses)
+            statuses = list(ran.statuses)
+            if ran.problems(SECONDS_MAX):
+                statuses = _one_by_one(name, folder, original, damaged)
+            for one, status in zip(uses, statuses, strict=True):
+                reached[f"{name}: {one.words[0]}"] += 1
+                reached[f"{one.words[0]}: exit status {status}"] += 1
+        return Done(len(damaged), repr(sorted(reached.items())).encode(), reached)
 
     return attempt
 
 
-def _one_by_one(name: str, uses: Iterable[Sequence[str]], folder: Callable[[], Path]) -> list[int]:
+def _one_by_one(
+    name: str,
+    folder: Folder,
+    original: Original,
+    files: Iterable[tuple[bytes, Sequence[tuple[str, ...]]]],
+) -> list[int]:
     """Return the exit statuses of the uses, each in a child and a folder of its own.
 
     Raises:
         AssertionError: one of them did wrong.
     """
     statuses, wrong = [], []
-    for words in uses:
-        try:
-            statuses.append(use(words, folder()))
-        except AssertionError as error:
-            wrong.append(f"{name}: {error}")
+    for data, uses in files:
+        for words in uses:
+            try:
+                statuses.append(use(words, folder.lay_out(original, data)))
+            except AssertionError as error:
+                wrong.append(f"{name}: {error}")
     if wrong:
         raise AssertionError("; ".join(wrong))
     return statuses
