@@ -3,8 +3,8 @@
 Each use must end within 5 s of processor time and 300 MB, without a traceback, with a documented
 exit status. A file is at most 1 MB large, since a long recording rightly takes longer.
 
-An attempt has several files made from one original, each with a few uses, which its number draws.
-One forked child does them all, for a child costs more than most uses. If one of them may have done
+An attempt has several files made from one original, each with a use, which its number draws.
+One forked child makes them all, for a child costs more than most uses. If one of them may have done
 wrong, each is repeated in a child of its own, and judged there. Most recordings are short, so that
 damage meets every part of them; some are whole golden ones.
 """
@@ -58,8 +58,7 @@ _PATIENCE_S: Final = 300
 _BOMB: Final = 256 << 20
 _TRACEBACK: Final = re.compile(r"Traceback \(most recent call last\)")
 _BROKEN: Final = 99
-_USES_A_FILE: Final = 2
-AT_ONCE: Final = 20
+AT_ONCE: Final = 40
 """Number of files of an attempt."""
 _LONG: Final = 0.02
 """Share of the attempts with long recordings."""
@@ -166,16 +165,17 @@ class Folder:
         self._keep = tempfile.TemporaryDirectory(prefix="motorhil-attack-")
         self.path = Path(self._keep.name)
         weakref.finalize(self, self._keep.cleanup)
+        recordings = {name: _short(name, self.path / f"{name}.mcap") for name in RECORDINGS}
         self.whole = {
             "rig.toml": _rig_text().encode(),
             "model.toml": MODEL.encode(),
             "drive.eds": EDS.read_bytes(),
             "script.py": _SCRIPT.encode(),
-            "whole": (GOLDEN / "cia402.mcap").read_bytes(),
+            "whole": recordings["cia402"].read_bytes(),
         }
-        self.originals = self._originals()
+        self.originals = self._originals(recordings)
 
-    def _originals(self) -> dict[str, Original]:
+    def _originals(self, short: Mapping[str, Path]) -> dict[str, Original]:
         texts = self.whole
         found = {
             "rig": Original(texts["rig.toml"], "rig.toml", RIG, is_text=True),
@@ -194,10 +194,9 @@ class Folder:
         found["lock"] = Original(
             _lock(locks), "locks/pan", (("list", "motors"), ("list", "motors", "--json"))
         )
-        recordings = {name: GOLDEN / f"{name}.mcap" for name in RECORDINGS}
-        found |= self._recorded("long ", recordings, is_long=True)
-        recordings = {name: _short(name, self.path / f"{name}.mcap") for name in RECORDINGS}
-        return found | self._recorded("", recordings, is_long=False)
+        long = {name: GOLDEN / f"{name}.mcap" for name in RECORDINGS}
+        found |= self._recorded("long ", long, is_long=True)
+        return found | self._recorded("", short, is_long=False)
 
     def _recorded(self, long: str, of: Mapping[str, Path], is_long: bool) -> dict[str, Original]:
         """Return the recordings, and the first of them in all formats."""
@@ -443,7 +442,7 @@ def _list_modules(words: Sequence[str]) -> int:
 
 
 def begin(seed: int, verb: str | None = None, files: int = AT_ONCE) -> Attempt:
-    """Return the attempts: `files` damaged ones through some uses, or all of this verb."""
+    """Return the attempts: `files` damaged ones through a use each, or all of this verb."""
     folder = Folder()
     names = [name for name, one in folder.originals.items() if not one.is_long]
     names_long = [name for name, one in folder.originals.items() if one.is_long]
@@ -454,7 +453,7 @@ def begin(seed: int, verb: str | None = None, files: int = AT_ONCE) -> Attempt:
     def drawn(original: Original, dice: Random) -> tuple[bytes, list[tuple[str, ...]]]:
         data, uses = damage(original, dice), original.filled()
         if verb is None:
-            return data, dice.sample(uses, min(_USES_A_FILE, len(uses)))
+            return data, [dice.choice(uses)]
         return data, [words for words in uses if words[0] == verb]
 
     def attempt(number: int) -> Done:
