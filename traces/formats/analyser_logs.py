@@ -111,7 +111,7 @@ class BusmasterReader:
             if time_ns < self._before_ns - _DAY_NS // 2:
                 self._day_ns += _DAY_NS
                 time_ns += _DAY_NS
-        self._before_ns = time_ns
+        self._before_ns = traffic.log_time(time_ns)
         way = _WAYS[match[5].capitalize()]
         return Frame(time_ns, f"can{max(0, int(match[6]) - 1)}", frame, way)
 

@@ -80,7 +80,7 @@ class AscReader:
             time_ns += self._before_ns
             self._before_ns = time_ns
         rest = rest.strip()
-        frame = self._row(rest, time_ns + self._start_ns, findings)
+        frame = self._row(rest, traffic.log_time(time_ns + self._start_ns), findings)
         return () if frame is None else (frame,)
 
     def _head(self, line: str, findings: Findings) -> None:

@@ -214,9 +214,7 @@ class _Objects:
         if version not in (1, 2):
             raise ValueError(f"a head of version {version}")
         flags, ticks = _STAMP.unpack_from(body, _BASE.size)
-        time_ns = self._start_ns + (ticks * 10_000 if flags == 1 else ticks)
-        if time_ns > traffic.TIME_MAX:
-            raise ValueError(f"a time stamp beyond the year 2554: {ticks}")
+        time_ns = traffic.log_time(self._start_ns + (ticks * 10_000 if flags == 1 else ticks))
         if kind == 2:
             self._findings.note("error frames do not state the cause; read as bus errors")
             (channel,) = struct.unpack_from("<H", body, 32)

@@ -142,6 +142,18 @@ def decimal_ns(text: str, digits: int = 9) -> int:
     return time_ns
 
 
+def log_time(time_ns: int) -> int:
+    """Return the time, which a recording can hold [ns since 1970].
+
+    Raises:
+        ValueError: it is too early or too late.
+    """
+    if 0 <= time_ns <= TIME_MAX:
+        return time_ns
+    bound = "beyond the year 2554" if time_ns > 0 else "before 1970"
+    raise ValueError(f"a time stamp {bound}: {time_ns} ns")
+
+
 def decimal(time_ns: int, places: int = 9, unit_ns: int = NS) -> str:
     """Return a time as a decimal number, truncated to `places` decimals."""
     whole, rest = divmod(time_ns, unit_ns)

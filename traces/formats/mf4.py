@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, Final, final
 from motorhil.traces import can_frame
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import MEMORY_MAX, open_content
-from motorhil.traces.formats.frames import NS, Findings, Frame, bus_numbers
+from motorhil.traces.formats.frames import NS, Findings, Frame, bus_numbers, log_time
 from motorhil.traces.schema import Direction
 
 MAGIC: Final = b"MDF     4"
@@ -99,6 +99,7 @@ def _group(mdf: Any, number: int, kind: str, start_ns: int, findings: Findings) 
         for at, after_ns in enumerate(since_ns):
             row = {name: values[at] for name, values in columns.items()}
             try:
+                time_ns = log_time(start_ns + after_ns)
                 frame = _frame(kind, row)
             except (ValueError, KeyError) as error:
                 findings.problem(offset + at + 1, f"{kind} {offset + at + 1}: {error}")
@@ -108,7 +109,7 @@ def _group(mdf: Any, number: int, kind: str, start_ns: int, findings: Findings) 
                 sent = row["Dir"] in _TRANSMITTED
                 way = Direction.TRANSMITTED if sent else Direction.RECEIVED
             bus = f"can{max(0, int(row.get('BusChannel', 1)) - 1)}"
-            yield Frame(start_ns + after_ns, bus, frame, way)
+            yield Frame(time_ns, bus, frame, way)
 
 
 def _since_ns(mdf: Any, number: int, offset: int, seconds: Any) -> list[int]:

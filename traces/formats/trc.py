@@ -117,7 +117,7 @@ class TrcReader:
                 else can_frame.classic(can_id, content)
             )
         return Frame(
-            self._start_ns + traffic.decimal_ns(row[columns.offset], 6),
+            traffic.log_time(self._start_ns + traffic.decimal_ns(row[columns.offset], 6)),
             _bus(row[columns.bus]) if told > columns.bus else "can0",
             data,
             _WAYS.get(row[columns.way], Direction.UNKNOWN)
@@ -175,7 +175,7 @@ def _row_1(line: str, start_ns: int) -> Frame:
     else:
         frame = can_frame.classic(can_id, _data(rest, length))
     direction = _WAYS[kind] if kind else Direction.UNKNOWN
-    time_ns = start_ns + traffic.decimal_ns(stamp, 6)
+    time_ns = traffic.log_time(start_ns + traffic.decimal_ns(stamp, 6))
     return Frame(time_ns, f"can{int(bus or 1) - 1}", frame, direction)
 
 

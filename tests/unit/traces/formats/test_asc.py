@@ -121,3 +121,11 @@ def test_file_of_python_can_is_read(tmp_path):
         (500_000_000, "can0", remote(0x7, 3), R),
         (1_000_000_000, "can0", flexible(0x8, 1, bytes(12)), R),
     ]
+
+
+def test_stamp_too_late_with_the_date_is_reported():
+    row = "18446744073.0 1  C8  Tx   d 0"
+    frames, findings = read("date Fri Nov 27 10:00:00 am 2026", "base hex timestamps absolute", row)
+    assert not frames
+    ((_, told),) = findings.problems
+    assert "beyond the year 2554" in told

@@ -115,3 +115,14 @@ def test_damage_never_raises(tmp_path_factory, noise, start):
     path.write_bytes(start + noise)
     for packet in Capture(path).packets():
         assert packet.number >= 1
+
+
+@pytest.mark.parametrize("offset_s", [-1, 1 << 35])
+def test_packet_before_or_after_what_a_recording_can_hold_is_skipped(tmp_path, offset_s):
+    options = struct.pack("<HHq", 14, 8, offset_s)
+    data = (
+        section() + interface(1, options) + enhanced(5, b"a") + interface() + enhanced(1, b"b", 1)
+    )
+    capture = Capture(written(tmp_path, data))
+    assert [packet.data for packet in capture.packets()] == [b"b"]
+    assert "not from 1970 to 2554" in capture.problems[0]

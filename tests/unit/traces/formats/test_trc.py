@@ -130,3 +130,12 @@ def test_identifier_of_more_than_32_bits_is_a_finding(can_id):
     frames, findings = read(*HEAD_2, f"      1      1059.900 DT 1 {can_id} Rx -  1 FF")
     assert frames == []
     assert any("has more than 29 bits" in one for one in map(str, findings.problems))
+
+
+@pytest.mark.parametrize("row", ["1) 18446744073709 0300 0", "1 18446744073709 DT 1 0300 Rx - 0"])
+def test_stamp_too_late_with_the_start_is_reported(row):
+    head = HEAD_2[: 3 if "DT" in row else 2]
+    frames, findings = read(*head, row)
+    assert not frames
+    ((_, told),) = findings.problems
+    assert "beyond the year 2554" in told
