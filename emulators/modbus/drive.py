@@ -245,6 +245,7 @@ class ModbusDrive:
     def start(self, now_ns: int) -> None:
         """Power on."""
         self.now_ns = now_ns
+        self.axis.at(now_ns)
         self.is_powered = True
         self._ready_ns = now_ns + self.settings.boot_up_ns
         self.bank.set_defaults()

@@ -180,6 +180,23 @@ def _of_a_drive(seed):
     return lambda number: lying_medium.attack("cia402", f"{seed}:{number}")
 
 
+def _made(name):
+    """Return a controller of this kind."""
+    attack = controllers.KINDS[name]
+    build = attack.args[0]
+    if isinstance(build, controllers.Kind):
+        return build.build(Random(SEED))
+    return build(Random(SEED)) if attack.func is controllers.attack_gateway else build()
+
+
+@pytest.mark.parametrize("name", sorted(controllers.KINDS))
+def test_controller_that_starts_late_asks_for_no_call_in_the_past(name):
+    bare = controllers.Bare(_made(name))
+    bare.now_ns = 5 * 10**9
+    bare.replace(_made(name))
+    bare.run(2 * 10**9)
+
+
 # ---------------------------------------------------------------------------------------- files
 
 
