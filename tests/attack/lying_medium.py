@@ -6,15 +6,15 @@ ends. A motion that is reported done has reached its target. After the trouble t
 again. An attempt is a rig, in which several programs meet trouble, one after another.
 
 The medium alters only what the protocol can detect: the header of an SDO response and lengths on
-CAN, any bit on a serial line with its CRC, the headers on TCP. Other alterations are true lies, of
-which no host can know.
+CAN, any bit on a serial line with its CRC, the headers on TCP; of other protocols on CAN, what
+`liars` lists. A foreign node sends malformed frames. Other alterations are true lies, of which no
+host can know; on a line also an answer sent twice, if the protocol does not number its requests.
 """
 
-import struct
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any, Final, final
@@ -32,8 +32,9 @@ from motorhil.motorapi import (
     MotorError,
     TrapezoidalTrajectory,
 )
+from tests.attack import liars
 from tests.attack.campaign import Attack, Attempt, Done
-from tests.properties.fuzz.frames import frame
+from tests.attack.liars import Liar, Lies
 from tests.support.motors.kinds import EVERY, Kind
 
 CONFORMANCE: Final = Path(conformance.__file__).parent / "rigs"
@@ -47,6 +48,8 @@ SAMPLE_NS: Final = 10 * MS
 """The period of the truth: an extreme between two samples differs by 4 rad/s^2 (10 ms)^2 / 8."""
 CALL_MAX_S: Final = 12.0
 """The longest time of any call [s]: its own timeouts, and those of what it asks first."""
+LIE_PERIODS_S: Final = (0.003, 0.02, 0.1, 0.0)
+"""Periods of the foreign node [s]; 0: it is silent."""
 CALLS: Final = 10
 RUNS: Final = 5
 """Programs in one rig: a start costs as much as a program on CiA 402."""
@@ -68,11 +71,8 @@ class SilentlyWrong(AssertionError):  # noqa: N818 -- it says what happened
 
 @final
 @dataclass(frozen=True)
-class Streamed:
-    """A kind whose rig is that of its conformance tests.
-
-    Its frames are lost, delayed and repeated, not altered: they hold nothing that can be checked.
-    """
+class Conforming:
+    """A kind whose rig is that of its conformance tests."""
 
     name: str
     window: float
@@ -83,13 +83,14 @@ class Streamed:
         return (CONFORMANCE / f"{self.name}.toml").read_text()
 
 
-STREAMED: Final = (
-    Streamed("mit", 0.006),
-    Streamed("robstride", 0.006),
-    Streamed("moteus", 0.002),
-    Streamed("vesc", 0.003),
-    Streamed("rmd", 0.003),
-    Streamed("dynamixel", 0.004),
+CONFORMING: Final = (
+    Conforming("mit", 0.006),
+    Conforming("robstride", 0.006),
+    Conforming("moteus", 0.002),
+    Conforming("vesc", 0.003),
+    Conforming("rmd", 0.003),
+    Conforming("dynamixel", 0.004),
+    Conforming("dryve", 0.003),
 )
 
 
@@ -99,11 +100,11 @@ def _on_tcp(kind: Kind) -> Kind:
     return replace(kind, name=f"{kind.name} on TCP", hardware=line + rest)
 
 
-def kinds() -> dict[str, Kind | Streamed]:
+def kinds() -> dict[str, Kind | Conforming]:
     """Return the kinds of hardware with a medium."""
     found = [kind for kind in EVERY.values() if kind.hardware]
     found += [_on_tcp(kind) for kind in found if "modbus_rtu" in kind.hardware]
-    return {kind.name: kind for kind in (*found, *STREAMED)}
+    return {kind.name: kind for kind in (*found, *CONFORMING)}
 
 
 @cache
@@ -115,7 +116,7 @@ def _description(name: str) -> RigDescription:
 class Truth:
     """The true state of one motor during the time that a reading may be old."""
 
-    def __init__(self, rig: Rig, kind: Kind | Streamed) -> None:
+    def __init__(self, rig: Rig, kind: Kind | Conforming) -> None:
         motor = rig.description.motors["left"]
         assert motor.controller is not None
         self._controller = motor.controller
@@ -163,26 +164,24 @@ class Truth:
 
 @final
 class Trouble:
-    """The rules of one run, and a foreign node on CAN that sends malformed frames.
+    """The rules of one run on a medium, and the lies of a foreign node.
 
     Args:
         rig: the rig.
         dice: decides everything.
         name: of the run, for its rules.
-        lie: sends a frame of the foreign node on CANopen; None elsewhere.
+        bus: the bus or line.
+        lies: those of its protocol.
+        liar: the foreign node; None: there is none.
     """
 
     def __init__(
-        self, rig: Rig, dice: Random, name: str, lie: Callable[[bytes], object] | None
+        self, rig: Rig, dice: Random, name: str, bus: str, lies: Lies, liar: Liar | None
     ) -> None:
-        self._rig = rig
-        self._dice = dice
-        self._is_canopen = lie is not None
+        self._rig, self._dice, self._bus = rig, dice, bus
+        self._lies, self._liar = lies, liar
         self._rules: list[str] = []
         self.ends_ns = 0
-        (self._bus,) = rig.description.buses
-        is_line = rig.description.buses[self._bus].is_line
-        is_tcp = is_line and rig.description.buses[self._bus].kind == "modbus_tcp"
         for number in range(dice.randrange(1, 5)):
             begin_ns = rig.runtime.now_ns() + round(dice.uniform(0.0, TROUBLE_BEGIN_S) * 1e9)
             until_ns = begin_ns + round(dice.uniform(*TROUBLE_S) * 1e9)
@@ -195,11 +194,11 @@ class Trouble:
                 "probability": dice.choice((0.02, 0.1, 0.3, 0.8)),
             }
             self._rules.append(rule_name)
-            make = partial(self._serial, is_tcp=is_tcp) if is_line else self._can
-            rig.faults.inject(self._bus, make(rule_name, common))
-        if lie is not None:
-            period_s = dice.choice((0.003, 0.02, 0.1))
-            self._liar = rig.runtime.every(period_s, lambda: self._lie(lie))
+            make = self._serial if rig.description.buses[bus].is_line else self._can
+            rig.faults.inject(bus, make(rule_name, common))
+        period_s = dice.choice(LIE_PERIODS_S)
+        if liar is not None and period_s:
+            liar.begin(period_s, self.ends_ns)
 
     def end(self) -> None:
         """Let time pass until the last rule has ended, and remove the rules."""
@@ -209,63 +208,44 @@ class Trouble:
             self._rig.faults.lift(self._bus, name)
 
     def _can(self, name: str, common: dict[str, Any]) -> FaultRule:
-        dice = self._dice
-        kind = dice.choice(_CAN if self._is_canopen else _CAN[:-1])  # the last one alters
+        dice, lies = self._dice, self._lies
+        kind = dice.choice(_CAN if lies.checked else _CAN[:-1])  # the last one alters
         more: dict[str, Any] = {}
         if kind is FaultKind.DELAY:
             more = {"delay_ns": dice.randrange(1, DELAY_MAX_NS)}
-        elif kind is FaultKind.CORRUPT:  # command specifier, index, sub-index
-            flip = bytearray(4)
-            flip[dice.randrange(4)] = 1 << dice.randrange(8)
-            more = {"flip": bytes(flip), "identifier": dice.choice((0x581, 0x582))}
-            common = {**common, "sender": None}
-        elif common["sender"] is None and self._is_canopen:
-            more = {"identifier": dice.choice((0x181, 0x281, 0x581, 0x701))}
+        elif kind is FaultKind.CORRUPT:
+            identifier, flip = lies.turned(dice)
+            more = {"flip": flip, "identifier": identifier}
+            common = {**common, "sender": dice.choice([*self._rig.description.controllers])}
+        elif common["sender"] is None and lies.answers:
+            more = {"identifier": dice.choice(lies.answers)}
         return FaultRule(name, kind, **common, **more)
 
-    def _serial(self, name: str, common: dict[str, Any], is_tcp: bool) -> SerialFaultRule:
-        dice = self._dice
+    def _serial(self, name: str, common: dict[str, Any]) -> SerialFaultRule:
+        dice, is_tcp = self._dice, self._rig.description.buses[self._bus].kind == "modbus_tcp"
         kind = dice.choice(_SERIAL if is_tcp else _RTU)
         more: dict[str, Any] = {}
         if kind in _TIMED:
             more["delay_ns"] = dice.randrange(1, DELAY_MAX_NS)
         if kind in _PLACED:
-            more["after"] = dice.randrange(1, 9)
+            more["after"] = dice.randrange(1, 20)
         if kind is SerialFaultKind.NOISE:
             more["noise"] = dice.randbytes(dice.randrange(1, 6))
         if kind is SerialFaultKind.CORRUPT and is_tcp:  # all that is not a value
-            flip = bytearray(8)
-            flip[dice.randrange(8)] = 1 << dice.randrange(8)
+            flip = bytearray(self._lies.header)
+            flip[dice.randrange(len(flip))] = 1 << dice.randrange(8)
             more["flip"] = bytes(flip)
             common = {**common, "sender": dice.choice([*self._rig.description.controllers])}
         return SerialFaultRule(name, kind, **common, **more)
-
-    def _lie(self, send: Callable[[bytes], object]) -> None:
-        """Send a malformed frame in the name of node 1, or one that answers nothing asked for."""
-        dice = self._dice
-        if self._rig.runtime.now_ns() >= self.ends_ns:
-            self._liar.cancel()
-            return
-        which = dice.randrange(5)
-        if which == 0:  # an answer to a request for another object
-            mux = struct.pack("<BHB", dice.choice((0x43, 0x4B, 0x4F, 0x60)), 0x2FFF, 7)
-            send(frame(0x581, mux + dice.randbytes(4)))
-        elif which == 1:
-            send(frame(0x581, dice.randbytes(dice.randrange(8))))
-        elif which == 2:
-            send(frame(dice.choice((0x181, 0x281)), dice.randbytes(dice.randrange(2))))
-        elif which == 3:  # a response of no request: block upload, abort of another object
-            send(frame(0x581, struct.pack("<BHBI", 0x80, 0x2FFF, 0, 0x0601_0000)))
-        else:
-            send(frame(0x701, dice.randbytes(dice.choice((0, 2, 8)))))
 
 
 @final
 class Program:
     """A program with a motor under trouble: random calls, and what they must not do."""
 
-    def __init__(self, rig: Rig, kind: Kind | Streamed, dice: Random) -> None:
+    def __init__(self, rig: Rig, kind: Kind | Conforming, dice: Random) -> None:
         self.motor: Motor = rig.motors["left"]
+        self.bus: str = rig.description.motors["left"].bus or ""
         self.reached: Counter[str] = Counter()
         self._rig, self._kind, self._dice = rig, kind, dice
         self._truth = Truth(rig, kind)
@@ -273,7 +253,7 @@ class Program:
         self._calls = (
             *(self._position,) * 3,
             *(self._velocity, self._latest, self._move, self._move, self._turn),
-            *(self.motor.state, self.motor.fault, self.motor.torque, self.motor.is_referenced),
+            *(self.motor.state, self._fault, self.motor.torque, self.motor.is_referenced),
             *(self.motor.stop, self.motor.quick_stop, self.motor.enable, self.motor.disable),
             *(self.motor.reset_fault, self._pause),
         )
@@ -306,6 +286,11 @@ class Program:
     def _velocity(self) -> None:
         value = self.motor.velocity()
         self._truth.require("velocity", value, self._rig.runtime.now_ns(), 2, _VELOCITY_RAD_S)
+
+    def _fault(self) -> None:
+        fault, lies = self.motor.fault(), liars.LIES.get(self._kind.name, liars.NONE)
+        if fault is not None and fault.code == lies.fault:
+            raise SilentlyWrong(f"fault {fault.code:X}h, which only a foreign node has reported")
 
     def _latest(self) -> None:
         latest = self.motor.latest()
@@ -367,13 +352,11 @@ def attack(name: str, seed: str) -> Done:
     with Rig(_description(name), seed=dice.getrandbits(32)) as rig:
         program = Program(rig, kind, dice)
         program.motor.enable()
-        (bus,) = rig.description.buses.values()
-        is_canopen = not bus.is_line and not isinstance(kind, Streamed)
-        liar = (
-            None if not is_canopen else rig.world.add_host(bus.name, "liar", lambda *_: None).send
-        )
+        lies = liars.LIES.get(name, liars.NONE)
+        bus = program.bus
+        liar = None if lies.forge is None else Liar(rig, bus, lies.forge, dice)
         for run in range(RUNS):
-            trouble = Trouble(rig, dice, f"run {run}, trouble", liar)
+            trouble = Trouble(rig, dice, f"run {run}, trouble", bus, lies, liar)
             program.run()
             trouble.end()
             program.require_usable()

@@ -54,6 +54,7 @@ _U32: Final = Struct("<4xI")
 _READ_ACCELERATION, _WRITE_ACCELERATION, _MODE, _ANGLE = 0x42, 0x43, 0x70, 0x92
 _STATUS_1, _STATUS_2, _RESET, _INTERRUPTED = 0x9A, 0x9C, 0x76, 0xF1
 _POLLED: Final = (_ANGLE, _STATUS_2, _MODE, _STATUS_1)
+_ACCELERATIONS: Final = 4  # by index: of positions, then of speeds, up and down
 _OBEYED_S: Final = 0.3
 _REPEAT_S: Final = 0.1
 _CONNECT_S: Final = 3.0
@@ -182,11 +183,11 @@ class RmdHwMotor:
         )
 
     def _is_up(self) -> bool:
-        known = self.estimate is not None and self.mode is not None and len(self._acceleration) == 4
-        return known and not self.drive.is_lost
+        known = self.estimate is not None and self.mode is not None
+        return known and len(self._acceleration) == _ACCELERATIONS and not self.drive.is_lost
 
     def _greet(self) -> None:
-        for index in range(4):
+        for index in range(_ACCELERATIONS):
             self._ask(_READ_ACCELERATION, index)
 
     # --- commands: values as on the wire
@@ -225,7 +226,7 @@ class RmdHwMotor:
         Raises:
             PeerError: the drive does not take them.
         """
-        for index in range(4):
+        for index in range(_ACCELERATIONS):
             if self._acceleration.get(index) == 0:
                 continue
             data = bytes((_WRITE_ACCELERATION, index)) + bytes(6)
@@ -324,7 +325,7 @@ class RmdHwMotor:
             self._speed = float(int.from_bytes(data[4:6], "little", signed=True))
         elif command == _MODE:
             self._mode_asked = data[7]  # valid from the next errors on: a fault is then known
-        elif command == _READ_ACCELERATION:
+        elif command == _READ_ACCELERATION and data[1] < _ACCELERATIONS:
             self._acceleration[data[1]] = _U32.unpack(data)[0]
         elif command == _STATUS_1:
             self._see_errors(int.from_bytes(data[6:], "little"), time_ns)

@@ -69,6 +69,7 @@ FAULTS: Final = {
 _STATUS, _STATUS_4, _STATUS_5, _NOTIFY_BOOT = 9, 16, 27, 57
 _FILL, _PROCESS, _SHORT = 5, 7, 8
 _FW_VERSION, _SELECTIVE, _ALIVE = 0, 50, 30
+_VERSION_BYTES: Final = 3  # at least: packet, major, minor
 _FAULT_MASK: Final = bytes((_SELECTIVE, 0, 0, 0x80, 0))
 _COMMANDS: Final = (*range(5), *range(10, 14))  # that move or stop the motor
 _MOVING: Final = (*range(5, 11), 29, 84, 159)  # packets that move or stop the motor
@@ -450,8 +451,8 @@ class VescHwMotor:
     def _on_end(self, data: bytes, time_ns: int) -> None:
         packet, self._packet = self._packet, b""
         told = int.from_bytes(data[2:4], "big"), int.from_bytes(data[4:6], "big")
-        is_whole = told == (len(packet), crc_hqx(packet, 0))
-        if data[:1] == bytes((self.node_id,)) and is_whole and packet[:1] == bytes((_FW_VERSION,)):
+        is_whole = told == (len(packet), crc_hqx(packet, 0)) and len(packet) >= _VERSION_BYTES
+        if data[:1] == bytes((self.node_id,)) and is_whole and packet[0] == _FW_VERSION:
             self._firmware = packet[1], packet[2]
 
     # --- frames of other programs

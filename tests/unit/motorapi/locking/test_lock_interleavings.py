@@ -5,6 +5,7 @@ from itertools import count
 
 import pytest
 
+from motorhil.motorapi.locking import witness
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.lock_file import LockFile, find, held_at
 from motorhil.motorapi.locking.process_lock import ProcessLock
@@ -181,3 +182,28 @@ def test_takeover_of_a_paused_takeover_leaves_one_owner(tmp_path, is_killed):
         return was_first, was_second
 
     assert all_pauses(schedule, tmp_path) > 100
+
+
+def test_takeover_in_a_new_file_leaves_the_holder_of_the_removed_one(tmp_path, monkeypatch):
+    """A program has begun to acquire the new file: the taker finds something to take there."""
+    numbers = {}
+    monkeypatch.setattr(witness, "_hash_of", lambda inode: numbers.setdefault(inode, len(numbers)))
+    refused = []
+    for first in count():
+        path = tmp_path / f"{first}"
+        path.mkdir(mode=0o700)
+        lock = ProcessLock("pan", "the pan", LockDirectory(path))
+        hold = lock.acquire(Turns(), "holder")
+        (path / "pan").unlink()
+        asker, taker = Program(path), Program(path, take_over=True)
+        is_stopped = asker.advance(first)
+        taker.advance()
+        asker.advance()
+        assert (asker.hold, taker.hold, hold.lost_to) == (None, None, None)
+        assert lock.begin_write() == hold.token  # looks at the new file
+        lock.end_write()
+        refused.append(first)
+        hold.release()
+        if not is_stopped:
+            break
+    assert len(refused) > 10

@@ -214,6 +214,16 @@ def test_blocked_motor_is_a_stall():
             motor.wait_until_done(timeout_s=5)
 
 
+def test_answer_of_an_unknown_acceleration_leaves_the_motor_usable():
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.position()
+        ear.say(0x241, "4204000000000000")
+        motor.position()
+        go_to(motor, 0.1)
+        motor.wait_until_done(timeout_s=5)
+
+
 @pytest.mark.parametrize(
     "frame", [(0x141, "8000000000000000"), (0x280, "8100000000000000"), (0x141, "A200000010270000")]
 )

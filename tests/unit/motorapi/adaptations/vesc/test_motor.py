@@ -181,6 +181,20 @@ def test_frames_of_wrong_length_are_ignored():
         assert motor.hardware.estimate.position == before.position
 
 
+@pytest.mark.parametrize(
+    ("packet", "crc"),
+    [("", "0000"), ("00", "0000"), ("0007", "70E7")],  # CRC-16/XMODEM
+)
+def test_version_packet_cut_short_is_ignored(packet, crc):
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.enable()
+        ear.say(0x5 << 8 | 128 + 23, "00" + packet)
+        ear.say(0x7 << 8 | 128 + 23, f"1700000{len(packet) // 2}{crc}")
+        go_to(motor, 0.1)
+        motor.wait_until_done(timeout_s=5)
+
+
 def test_velocity_below_erpm_min_is_refused():
     with opened("status_1 = 25", "") as rig, pytest.raises(UsageError) as error:
         go_to(rig.motors["left"], 0.15, ControlVariable.VELOCITY)
