@@ -33,10 +33,6 @@ Forge = Callable[[Random], Iterator[bytes]]
 """Yield the frames of one lie."""
 
 _ANY: Final = 0xFF
-MBAP_HEADER: Final = 8
-"""Bytes of an answer of Modbus TCP that repeat the request: MBAP with the unit, the function."""
-_GATEWAY_HEADER: Final = 19
-"""The same of a dryve, up to the number of bytes of the value."""
 
 
 @final
@@ -49,15 +45,22 @@ class Lies:
         checked: (identifier with its flags, byte, mask): the bits that the medium may turn on CAN,
             because the protocol checks them.
         header: the first bytes of an answer on TCP, all of which the protocol checks.
+        lengths: places of lengths in it, which the medium prefers.
         answers: identifiers with their flags, to lose, delay or repeat one of them alone.
         fault: the code of the fault in the frames of the foreign node; None: they have none.
     """
 
     forge: Forge | None
     checked: tuple[tuple[int, int, int], ...] = ()
-    header: int = MBAP_HEADER
+    header: int = 8
+    lengths: tuple[int, ...] = (5,)
     answers: tuple[int, ...] = ()
     fault: int | None = None
+
+    def turned_on_tcp(self, dice: Random) -> bytes:
+        """Return the bits of an answer that are turned: one of its header."""
+        place = dice.choice((*self.lengths, dice.randrange(self.header)))
+        return bytes(place) + bytes((1 << dice.randrange(8),))
 
     def turned(self, dice: Random) -> tuple[int, bytes]:
         """Return an identifier, and the bits of its data that are turned: one of those checked."""
@@ -168,7 +171,7 @@ def robstride(dice: Random) -> Iterator[bytes]:
 
 # ----------------------------------------------------------------------------------------- RMD
 
-_RMD: Final = 0x241
+_RMD, _ANGLE = 0x241, 0x92
 _RMD_ASKED: Final = (0x42, 0x43, 0x70, 0x92, 0x9A, 0x9C, 0x80, 0x81, 0xA1, 0xA2, 0xA4, 0xA8)
 _RMD_NOTICES: Final = (0x76, 0xF1)  # of the drive itself
 _RMD_BITS: Final = 0b1101_0110  # turn none of those commands into another
@@ -177,7 +180,11 @@ _ENCODER: Final = 0x2000
 
 def rmd(dice: Random) -> Iterator[bytes]:
     """Yield answers to foreign commands or of other drives, of another index, length or format."""
-    told = bytes((dice.choice(_RMD_ASKED[2:]),)) + dice.randbytes(5) + struct.pack("<H", _ENCODER)
+    told = (
+        bytes((dice.choice((_ANGLE, *_RMD_ASKED[2:])),))
+        + dice.randbytes(5)
+        + struct.pack("<H", _ENCODER)
+    )
     which = dice.randrange(6)
     if which == 0:
         known = (*_RMD_ASKED, *_RMD_NOTICES)
@@ -370,7 +377,7 @@ LIES: Final = {
         fault=_MAGNET,
     ),
     "dynamixel": Lies(dynamixel),
-    "dryve": Lies(None, header=_GATEWAY_HEADER),
+    "dryve": Lies(None, header=19, lengths=(5, 18)),  # up to the number of bytes of the value
 }
 """The lies by the name of a kind of hardware; others have only those of their medium."""
 NONE: Final = Lies(None)

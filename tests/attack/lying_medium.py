@@ -22,7 +22,7 @@ from typing import Any, Final, final
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.harness import conformance
-from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
+from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription, parse_rig
 from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.motorapi import (
@@ -30,6 +30,7 @@ from motorhil.motorapi import (
     ControlVariable,
     Motor,
     MotorError,
+    PluginError,
     TrapezoidalTrajectory,
 )
 from tests.attack import liars
@@ -46,15 +47,25 @@ TROUBLE_S: Final = (0.2, 1.5)
 """The shortest and the longest time that a rule lasts [s]."""
 SAMPLE_NS: Final = 10 * MS
 """The period of the truth: an extreme between two samples differs by 4 rad/s^2 (10 ms)^2 / 8."""
+STREAMED_NS: Final = 2 * MS
+"""The same for drives whose steps nothing rounds: 300 rad/s^2 were seen after a late set-point."""
 CALL_MAX_S: Final = 12.0
 """The longest time of any call [s]: its own timeouts, and those of what it asks first."""
-LIE_PERIODS_S: Final = (0.003, 0.02, 0.1, 0.0)
-"""Periods of the foreign node [s]; 0: it is silent."""
+LOOK_S: Final = 0.0037
+"""The period at which the last measurement is judged: a lie is replaced by the next answer."""
+LIE_PERIODS_S: Final = (0.0047, 0.0203, 0.0971, 0.0)
+"""Periods of the foreign node [s]; 0: it is silent. None is a multiple of a drive's: two senders of
+one identifier at the same time only become error passive, at much cost."""
 CALLS: Final = 10
-RUNS: Final = 5
+RUNS: Final = 10
 """Programs in one rig: a start costs as much as a program on CiA 402."""
+_ALONE: Final = 0.75
+"""The probability of a rig with the left motor alone: the right one adds only frames."""
+_LIFTED: Final = 0.75
+"""The probability that the rules end with the calls; else time passes until their own end."""
 _REPLY_S: Final = 0.1  # the time of an exchange without trouble
 _TRIES: Final = 3  # a call may find out only now what the trouble has done
+_RECONNECTED_S: Final = 2.0  # a connection without an answer for so long is opened anew
 _ROUNDING_RAD: Final = 0.001
 _VELOCITY_RAD_S: Final = 0.15
 _CAN: Final = (FaultKind.DROP, FaultKind.DELAY, FaultKind.DUPLICATE, FaultKind.CORRUPT)
@@ -72,10 +83,16 @@ class SilentlyWrong(AssertionError):  # noqa: N818 -- it says what happened
 @final
 @dataclass(frozen=True)
 class Conforming:
-    """A kind whose rig is that of its conformance tests."""
+    """A kind whose rig is that of its conformance tests.
+
+    position_tolerance: that of its motors [rad], if the host finds the end of a motion by it.
+    sample_ns: the period of the truth [ns].
+    """
 
     name: str
     window: float
+    position_tolerance: float = 0.01
+    sample_ns: int = STREAMED_NS
     heard_s: float = 0.1
 
     def rig(self) -> str:
@@ -86,11 +103,11 @@ class Conforming:
 CONFORMING: Final = (
     Conforming("mit", 0.006),
     Conforming("robstride", 0.006),
-    Conforming("moteus", 0.002),
-    Conforming("vesc", 0.003),
-    Conforming("rmd", 0.003),
+    Conforming("moteus", 0.002, sample_ns=SAMPLE_NS),
+    Conforming("vesc", 0.003, 0.006),
+    Conforming("rmd", 0.003, 0.006),
     Conforming("dynamixel", 0.004),
-    Conforming("dryve", 0.003),
+    Conforming("dryve", 0.003, sample_ns=SAMPLE_NS),
 )
 
 
@@ -108,27 +125,60 @@ def kinds() -> dict[str, Kind | Conforming]:
 
 
 @cache
-def _description(name: str) -> RigDescription:
-    return parse_rig(Source(Path(f"{name}.toml"), kinds()[name].rig()), installed_plugins())
+def _description(name: str, alone: bool) -> RigDescription:
+    """Return the rig of this kind; `alone`: with the left motor and its controller only."""
+    kind = kinds()[name]
+    whole = parse_rig(Source(Path(f"{name}.toml"), kind.rig()), installed_plugins())
+    motors = {
+        name: motor if isinstance(kind, Kind) else _with_tolerance(motor, kind.position_tolerance)
+        for name, motor in whole.motors.items()
+    }
+    if not alone:
+        return replace(whole, motors=motors)
+    left = motors["left"]
+    assert left.bus is not None
+    assert left.controller is not None
+    return replace(
+        whole,
+        buses={left.bus: whole.buses[left.bus]},
+        controllers={left.controller: whole.controllers[left.controller]},
+        motors={"left": left},
+        groups={},
+        conformance=replace(whole.conformance, motors=("left",)),
+    )
+
+
+def _with_tolerance(motor: MotorDescription, tolerance: float) -> MotorDescription:
+    assert isinstance(motor.model, Mapping)
+    return replace(motor, model={**motor.model, "position_tolerance_rad": tolerance})
 
 
 @final
 class Truth:
-    """The true state of one motor during the time that a reading may be old."""
+    """The true state of one motor during the time that a reading may be old.
+
+    Attributes:
+        calm_ns: that time without trouble [ns].
+        trouble_ns: the same in trouble.
+        age_ns: the same now.
+    """
 
     def __init__(self, rig: Rig, kind: Kind | Conforming) -> None:
         motor = rig.description.motors["left"]
         assert motor.controller is not None
         self._controller = motor.controller
         self._rig = rig
-        self.age_ns = 2 * DELAY_MAX_NS + round((kind.heard_s + _REPLY_S) * 1e9)
+        self.calm_ns: Final = round((kind.heard_s + _REPLY_S) * 1e9)
+        self.trouble_ns: Final = 2 * DELAY_MAX_NS + self.calm_ns
+        self.age_ns = self.trouble_ns
         self._seen: deque[tuple[int, float, float]] = deque()
-        rig.world.tap_samples(SAMPLE_NS, self._sample)
+        period_ns = SAMPLE_NS if isinstance(kind, Kind) else kind.sample_ns
+        rig.world.tap_samples(period_ns, self._sample)
 
     def _sample(self, now_ns: int, controller: str, truth: Mapping[str, float]) -> None:
         if controller == self._controller:
             self._seen.append((now_ns, truth["position_rad"], truth["velocity_rad_s"]))
-            while len(self._seen) > 1 and self._seen[1][0] < now_ns - 2 * self.age_ns:
+            while len(self._seen) > 1 and self._seen[1][0] < now_ns - 2 * self.trouble_ns:
                 self._seen.popleft()
 
     def position(self) -> float:
@@ -181,6 +231,7 @@ class Trouble:
         self._rig, self._dice, self._bus = rig, dice, bus
         self._lies, self._liar = lies, liar
         self._rules: list[str] = []
+        self._delay_ns = 0
         self.ends_ns = 0
         for number in range(dice.randrange(1, 5)):
             begin_ns = rig.runtime.now_ns() + round(dice.uniform(0.0, TROUBLE_BEGIN_S) * 1e9)
@@ -191,19 +242,23 @@ class Trouble:
                 "sender": dice.choice([*rig.description.controllers, None]),
                 "from_ns": begin_ns,
                 "until_ns": until_ns,
-                "probability": dice.choice((0.02, 0.1, 0.3, 0.8)),
+                "probability": dice.choice((0.02, 0.1, 0.3, 0.8, 1.0)),
             }
             self._rules.append(rule_name)
             make = self._serial if rig.description.buses[bus].is_line else self._can
             rig.faults.inject(bus, make(rule_name, common))
         period_s = dice.choice(LIE_PERIODS_S)
         if liar is not None and period_s:
-            liar.begin(period_s, self.ends_ns)
+            # A line delays answer after answer: more of them would outlast the trouble.
+            liar.begin(max(period_s, self._delay_ns / 1e9), self.ends_ns)
 
     def end(self) -> None:
-        """Let time pass until the last rule has ended, and remove the rules."""
-        left_ns = self.ends_ns - self._rig.runtime.now_ns()
-        self._rig.runtime.run_for(max(0.0, left_ns / 1e9))
+        """Remove the rules; sometimes only after the last one has ended."""
+        if self._dice.random() >= _LIFTED:
+            left_ns = self.ends_ns - self._rig.runtime.now_ns()
+            self._rig.runtime.run_for(max(0.0, left_ns / 1e9))
+        if self._liar is not None:
+            self._liar.end()
         for name in self._rules:
             self._rig.faults.lift(self._bus, name)
 
@@ -227,14 +282,13 @@ class Trouble:
         more: dict[str, Any] = {}
         if kind in _TIMED:
             more["delay_ns"] = dice.randrange(1, DELAY_MAX_NS)
+            self._delay_ns = max(self._delay_ns, more["delay_ns"])
         if kind in _PLACED:
             more["after"] = dice.randrange(1, 20)
         if kind is SerialFaultKind.NOISE:
             more["noise"] = dice.randbytes(dice.randrange(1, 6))
         if kind is SerialFaultKind.CORRUPT and is_tcp:  # all that is not a value
-            flip = bytearray(self._lies.header)
-            flip[dice.randrange(len(flip))] = 1 << dice.randrange(8)
-            more["flip"] = bytes(flip)
+            more["flip"] = self._lies.turned_on_tcp(dice)
             common = {**common, "sender": dice.choice([*self._rig.description.controllers])}
         return SerialFaultRule(name, kind, **common, **more)
 
@@ -250,21 +304,25 @@ class Program:
         self._rig, self._kind, self._dice = rig, kind, dice
         self._truth = Truth(rig, kind)
         self._tolerance = kind.window + _ROUNDING_RAD
+        self._seen_ns = -1
+        rig.runtime.every(LOOK_S, self._latest)
         self._calls = (
             *(self._position,) * 3,
-            *(self._velocity, self._latest, self._move, self._move, self._turn),
+            *(self._velocity, self._move, self._move, self._turn),
             *(self.motor.state, self._fault, self.motor.torque, self.motor.is_referenced),
             *(self.motor.stop, self.motor.quick_stop, self.motor.enable, self.motor.disable),
             *(self.motor.reset_fault, self._pause),
         )
 
     def call(self, call: Callable[[], object]) -> None:
-        """Make a call; a MotorError is right, and so is the end within CALL_MAX_S."""
+        """Make a call, which may raise a MotorError other than PluginError, within CALL_MAX_S."""
         begun_ns = self._rig.runtime.now_ns()
         name = getattr(call, "__name__", "").strip("_")
         try:
             call()
             self.reached[f"{name} returned"] += 1
+        except PluginError:  # an error of the adaptation itself
+            raise
         except MotorError as error:
             self.reached[f"{type(error).__name__}"] += 1
         took_s = (self._rig.runtime.now_ns() - begun_ns) / 1e9
@@ -273,6 +331,7 @@ class Program:
 
     def run(self) -> None:
         """Make random calls."""
+        self._truth.age_ns = self._truth.trouble_ns
         for _ in range(CALLS):
             self.call(self._dice.choice(self._calls))
 
@@ -293,16 +352,25 @@ class Program:
             raise SilentlyWrong(f"fault {fault.code:X}h, which only a foreign node has reported")
 
     def _latest(self) -> None:
-        latest = self.motor.latest()
-        if latest is not None and latest.position is not None:
-            if latest.time_ns < self._rig.runtime.now_ns() - self._truth.age_ns:
-                return  # it says that it is old
+        """Judge the last measurement, once; without one of late, it says that it is old."""
+        latest, truth = self.motor.latest(), self._truth
+        if latest is None or latest.time_ns == self._seen_ns:
+            return
+        self._seen_ns = latest.time_ns
+        if latest.time_ns < self._rig.runtime.now_ns() - truth.age_ns:
+            return
+        if latest.position is not None:
             what = "latest position"
-            self._truth.require(what, latest.position, latest.time_ns, 1, self._tolerance)
+            truth.require(what, latest.position, latest.time_ns, 1, self._tolerance)
+        if latest.velocity is not None:
+            what = "latest velocity"
+            truth.require(what, latest.velocity, latest.time_ns, 2, _VELOCITY_RAD_S)
 
     def _move(self) -> None:
         distance = self._dice.choice((-0.4, -0.05, 0.05, 0.4))
-        asked_ns, before = self._rig.runtime.now_ns(), self._truth.position()
+        asked_ns = self._rig.runtime.now_ns()
+        # The host begins from a position that is as old as any other.
+        lowest, highest = self._truth.positions_since(asked_ns - self._truth.age_ns)
         self.motor.set_control_mode(ControlMode.TRAJECTORY)
         self.motor.set_trajectory(TrapezoidalTrajectory(distance))
         self.motor.start()
@@ -311,8 +379,8 @@ class Program:
         begun = self._truth.position()
         self.motor.wait_until_done(5)
         now = self._truth.position()
-        low = min(before, least if distance > 0.0 else begun) + distance
-        high = max(before, most if distance < 0.0 else begun) + distance
+        low = min(lowest, least if distance > 0.0 else begun) + distance
+        high = max(highest, most if distance < 0.0 else begun) + distance
         if not low - 2 * self._tolerance <= now <= high + 2 * self._tolerance:
             raise SilentlyWrong(f"done at {now:.5f} rad; expected {low:.5f} to {high:.5f} rad")
 
@@ -326,18 +394,23 @@ class Program:
 
     def require_usable(self) -> None:
         """Raise SilentlyWrong if the motor cannot move in one of few tries."""
-        rest_s = self._truth.age_ns / 1e9  # a value from before it is too old
+        truth = self._truth
+        rest_s = (DELAY_MAX_NS + truth.calm_ns) / 1e9  # late frames come, and are too old then
         for last in (False,) * (_TRIES - 1) + (True,):
             self._rig.runtime.run_for(rest_s)
+            rest_s = _RECONNECTED_S
+            truth.age_ns = truth.calm_ns
             try:
                 self.motor.stop()
                 if self.motor.fault() is not None:
                     self.motor.reset_fault()
                 self.motor.enable()
-                self._rig.runtime.run_for(rest_s)
+                self._rig.runtime.run_for(truth.calm_ns / 1e9)
                 self._position()
                 self._move()
                 self._position()
+            except PluginError:
+                raise
             except MotorError as error:
                 if last:
                     raise SilentlyWrong(f"unusable after the trouble: {error}") from error
@@ -349,7 +422,7 @@ class Program:
 def attack(name: str, seed: str) -> Done:
     """Run programs under trouble on this kind of hardware, in one rig."""
     kind, dice = kinds()[name], Random(seed)
-    with Rig(_description(name), seed=dice.getrandbits(32)) as rig:
+    with Rig(_description(name, dice.random() < _ALONE), seed=dice.getrandbits(32)) as rig:
         program = Program(rig, kind, dice)
         program.motor.enable()
         lies = liars.LIES.get(name, liars.NONE)

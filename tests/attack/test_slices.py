@@ -4,16 +4,27 @@ import gc
 import os
 from functools import partial
 from random import Random
+from unittest.mock import ANY
 
 import pytest
 
 from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.controller import ControllerContext
+from motorhil.emulators.dynamixel.packets import crc16
 from motorhil.harness.sharing_tests import processes
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import Motor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.dryve.telegrams import DryveCodec
+from motorhil.motorapi.adaptations.dynamixel import packets
+from motorhil.motorapi.adaptations.dynamixel.packets import DynamixelCodec
+from motorhil.motorapi.adaptations.mit.frames import Frames
+from motorhil.motorapi.adaptations.mit.robstride import RobstrideFrames
+from motorhil.motorapi.adaptations.moteus import motor as moteus
+from motorhil.motorapi.adaptations.rmd.hardware import RmdHwMotor
+from motorhil.motorapi.adaptations.vesc import hardware as vesc
+from motorhil.motorapi.adaptations.vesc.hardware import VescHwMotor
 from motorhil.motorapi.locking.lock_file import LockFile, write_epoch
 from tests.attack import __main__ as program
 from tests.attack import controllers, damaged_files, growth, lock_kills, lying_medium
@@ -153,31 +164,99 @@ def test_forbidden_state_of_a_drive_is_found_and_reduced(monkeypatch, tmp_path, 
 # ----------------------------------------------------------------------------------------- lies
 
 
-def test_hosts_of_every_kind_are_never_silently_wrong():
-    done = campaign("lies", count=lying_medium.RUNS * len(lying_medium.kinds()))
+def test_hosts_of_every_kind_are_never_silently_wrong(monkeypatch):
+    monkeypatch.setattr(lying_medium, "RUNS", 2)
+    done = campaign("lies", count=2 * len(lying_medium.kinds()))
     assert all(done.reached[name] for name in lying_medium.kinds())
     assert done.reached["position returned"]
 
 
+def of_any_motor(answer):
+    """Return an answer that checks the number of no motor."""
+
+    def checked(self, can_id, data):
+        number = bytes(one & 0xF0 | self.node_id for one in data[:1])
+        return answer(self, can_id, number + data[1:])
+
+    return checked
+
+
+def of_any_length(answer):
+    """Return a function of data that are filled up to eight bytes."""
+    return lambda self, *more: answer(
+        self, *(one.ljust(8, b"\0") if isinstance(one, bytes) else one for one in more)
+    )
+
+
+def of_any_host(answers):
+    return lambda self: (*answers(self), *(can_id ^ 3 for can_id in answers(self)))
+
+
+def of_any_command(on_answer):
+    """Return a reader that takes unknown commands for an angle."""
+    known = b"\x42\x43\x70\x92\x9a\x9c\x80\x81\xa1\xa2\xa4\xf1"
+    return lambda self, data, time_ns: on_answer(
+        self, data if data[:1] in known else b"\x92" + data[1:], time_ns
+    )
+
+
+def of_any_node(on_answer):
+    return lambda self, data, time_ns: on_answer(self, bytes((self.node_id,)) + data[1:], time_ns)
+
+
+def with_any_crc(status_in):
+    def repaired(packet, unit):
+        end = 5 + int.from_bytes(packet[5:7], "little")
+        return status_in(packet[:end] + crc16(packet[:end]) + packet[end + 2 :], unit)
+
+    return repaired
+
+
+def of_one_header(answers):
+    """Return a check that knows no answer of another header."""
+
+    def checked(self, answer, request):
+        if not answers(self, answer, request):
+            raise KeyError("another header")
+        return True
+
+    return checked
+
+
+def instead(value):
+    return lambda _: value
+
+
 @UNCOMPILED
 @pytest.mark.parametrize(
-    ("owner", "name", "wrong", "told"),
+    ("kind", "attempt", "owner", "name", "plant", "told"),
     [
-        (Cia402Motor, "_read_position", lambda motor: 0.5, "SilentlyWrong: position N"),
-        (Cia402Motor, "_read_velocity", lambda motor: 1.5, "SilentlyWrong: velocity N"),
-        (Motor, "wait_until_done", lambda motor, timeout_s=None: None, "SilentlyWrong: done at N"),
-        (Motor, "fault", lambda motor: {}["a bug"], "a bug"),
+        ("cia402", 0, Cia402Motor, "_read_position", instead(lambda motor: 0.5), "position N"),
+        ("cia402", 1, Cia402Motor, "_read_velocity", instead(lambda motor: 1.5), "velocity N"),
+        ("cia402", 0, Motor, "wait_until_done", instead(lambda *_: None), "done at N"),
+        ("cia402", 0, Motor, "fault", instead(lambda motor: {}["a bug"]), "a bug"),
+        ("mit", 1, Frames, "answer", of_any_motor, "latest position"),
+        ("mit", 2, Frames, "answer", of_any_length, "latest position"),
+        ("robstride", 6, RobstrideFrames, "answers", of_any_host, "latest position"),
+        ("robstride", 0, RobstrideFrames, "answer", of_any_length, "latest position"),
+        ("moteus", 1, moteus, "_HEADS", instead(ANY), "position"),
+        ("rmd", 3, RmdHwMotor, "_on_answer", of_any_length, "latest position"),
+        ("rmd", 1, RmdHwMotor, "_on_answer", of_any_command, "position"),
+        ("vesc", 3, vesc, "_VERSION_BYTES", instead(0), "index out of range"),
+        ("vesc", 3, VescHwMotor, "_on_answer", of_any_node, "fault Nh"),
+        ("vesc", 3, VescHwMotor, "_on_status", of_any_length, "latest velocity"),
+        ("dynamixel", 53, packets, "_status_in", with_any_crc, "position"),
+        ("dynamixel", 36, DynamixelCodec, "answers", instead(lambda *_: True), "IndexError"),
+        ("dryve", 277, DryveCodec, "answers", of_one_header, "another header"),
     ],
 )
-def test_wrong_host_is_found(owner, name, wrong, told, monkeypatch):
-    monkeypatch.setattr(owner, name, wrong)
-    done = Campaign(Attack("lies", "runs", _of_a_drive), SEED)
-    done.run(0.0, 10)
+def test_wrong_host_is_found(kind, attempt, owner, name, plant, told, monkeypatch):
+    monkeypatch.setattr(lying_medium, "RUNS", 1)
+    monkeypatch.setattr(owner, name, plant(getattr(owner, name)))
+    one = lambda seed: lambda number: lying_medium.attack(kind, f"{seed}:{number}")  # noqa: E731
+    done = Campaign(Attack("lies", "runs", one), SEED)
+    done.run(0.0, 1, attempt)
     assert any(told in finding for finding in done.findings), done.findings
-
-
-def _of_a_drive(seed):
-    return lambda number: lying_medium.attack("cia402", f"{seed}:{number}")
 
 
 def _made(name):

@@ -138,7 +138,7 @@ class RmdHwMotor:
         self.users = 0
         self._answers: dict[int, int] = {}  # number of answers by command
         self._acceleration: dict[int, int] = {}  # in its ROM, by index
-        self._speed = 0.0
+        self._speed: float | None = None  # None: not known since the drive was lost
         self._mode_asked: int | None = None
         self._is_known = False
         self._doubts = True  # whether the next answer may be an echo
@@ -319,8 +319,9 @@ class RmdHwMotor:
             return
         self._answers[command] = self._answers.get(command, 0) + 1
         if command == _ANGLE:
-            self.estimate = Estimate(_I32.unpack(data)[0] / 100.0, self._speed, time_ns)
             self._life.came(time_ns)
+            if self._speed is not None:
+                self.estimate = Estimate(_I32.unpack(data)[0] / 100.0, self._speed, time_ns)
         elif command in (_STATUS_2, Command.SPEED, Command.POSITION, Command.INCREMENT):
             self._speed = float(int.from_bytes(data[4:6], "little", signed=True))
         elif command == _MODE:
@@ -351,5 +352,5 @@ class RmdHwMotor:
     def _lose(self) -> None:
         self.forget()
         self._doubts = True
-        self.estimate = self.mode = self._mode_asked = None
+        self.estimate = self.mode = self._mode_asked = self._speed = None
         self._acceleration.clear()

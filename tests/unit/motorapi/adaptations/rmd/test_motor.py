@@ -214,6 +214,21 @@ def test_blocked_motor_is_a_stall():
             motor.wait_until_done(timeout_s=5)
 
 
+def test_speed_from_before_a_loss_is_forgotten():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 1.0, ControlVariable.VELOCITY)
+        rig.runtime.run_for(1.0)
+        now_ns = rig.runtime.now_ns()
+        lost = FaultRule("lost", FaultKind.DROP, sender="left", until_ns=now_ns + 1_000_000_000)
+        rig.faults.inject("can0", lost)
+        rig.runtime.run_for(0.1)
+        motor.hardware.stop_anyway()
+        assert rig.runtime.wait_until(lambda: motor.latest() is None, 1.0)
+        assert rig.runtime.wait_until(lambda: motor.latest() is not None, 1.0)
+        assert abs(motor.latest().velocity) < 0.02  # one deg/s
+
+
 def test_answer_of_an_unknown_acceleration_leaves_the_motor_usable():
     with opened() as rig, Ear(rig) as ear:
         motor = rig.motors["left"]
