@@ -152,10 +152,17 @@ def crc16(data: bytes) -> int:
     """Return the CRC of the serial line (MODBUS over Serial Line V1.02, 6.2.2)."""
     crc = 0xFFFF
     for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+        crc = crc >> 8 ^ _CRCS[(crc ^ byte) & 0xFF]
     return crc
+
+
+def _shifted(crc: int) -> int:
+    for _ in range(8):
+        crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+    return crc
+
+
+_CRCS: Final = [_shifted(byte) for byte in range(256)]
 
 
 class RecordedAdu(NamedTuple):
