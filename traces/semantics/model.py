@@ -16,8 +16,7 @@ from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.reader import Trace, TraceMessage
-from motorhil.traces.protobuf import decode
-from motorhil.traces.schema import JOINT_STATE
+from motorhil.traces.schema import JOINT_STATE, DoublesDecoder
 
 Key = tuple[str, int | None, str]
 """Bus, line, motor or group; node (None: none); subject."""
@@ -180,10 +179,11 @@ def meaning_of(
         TraceError: the recording is damaged, or has more events and motion.
     """
     story, meaning = Story(trace, names), Meaning(of_devices=is_report is not None)
+    states = DoublesDecoder(JOINT_STATE)
     for message in trace.messages():
         meaning.messages += 1
         if message[0].topic.endswith("/state"):
-            _take_state(meaning, message)
+            _take_state(meaning, message, states)
             continue
         line = story.line(message)
         if line is not None and (is_report is None or is_report(line)):
@@ -195,13 +195,13 @@ def meaning_of(
     return meaning
 
 
-def _take_state(meaning: Meaning, message: TraceMessage) -> None:
+def _take_state(meaning: Meaning, message: TraceMessage, states: DoublesDecoder) -> None:
     channel, time_ns, payload = message
     if channel.schema is None or channel.schema.name != JOINT_STATE.name:
         return
     try:
-        position = decode(JOINT_STATE, payload).get("position")
+        position = states.decode(payload).get("position")
     except ValueError:
         return
-    if isinstance(position, float):
+    if position is not None:
         meaning.take_state(time_ns, channel.topic.split("/")[2], position)
