@@ -86,7 +86,7 @@ class Meaning:
         else:
             key = (line.place, None, line.topic.rpartition("/")[2])
         self.labels.setdefault(key, " ".join(str(part) for part in (key[0], key[2]) if part))
-        self._add(key, line.time_ns, what, line.text)
+        self._add(key, line.time_ns, what or (line.text,), line.text)
 
     def take_state(self, time_ns: int, motor: str, position: float) -> None:
         """Take the position of a motor."""
