@@ -127,6 +127,8 @@ def read_varint(data: bytes, offset: int) -> tuple[int, int]:
     Raises:
         ValueError: the data ends inside it, or it is longer than 10 bytes.
     """
+    if offset < len(data) and data[offset] < 0x80:
+        return data[offset], offset + 1
     value = shift = 0
     while offset < len(data) and shift < 70:
         byte = data[offset]
@@ -284,15 +286,18 @@ def decode(message: Message, payload: bytes) -> dict[str, Value]:
         ValueError: the payload ends inside a field, or a field's wire type is not the table's.
     """
     values: dict[str, Value] = {}
-    fields = {field.number: field for field in message.fields}
+    known = _TABLES.get(id(message))
+    if known is None or known[0] is not message:
+        known = _table(message)
+    fields = known[1]
     offset = 0
     while offset < len(payload):
         key, offset = read_varint(payload, offset)
         raw, offset = _read_raw(payload, offset, key & 7)
-        field = fields.get(key >> 3)
-        if field is None:
+        found = fields.get(key >> 3)
+        if found is None:
             continue
-        expected = _WIRE_TYPE.get(field.kind, _VARINT)
+        field, expected = found
         if field.repeated:
             # Numbers can be packed or single; length-delimited values are always single.
             if key & 7 == _LENGTH and expected != _LENGTH and isinstance(raw, bytes):
@@ -306,6 +311,20 @@ def decode(message: Message, payload: bytes) -> dict[str, Value]:
             continue
         raise ValueError(f"{message.name}.{field.name} has wire type {key & 7} at byte {offset}")
     return values
+
+
+_Table = tuple[Message, dict[int, tuple[Field, int]]]
+"""A message, and its fields with their wire types, by number."""
+_TABLES: Final[dict[int, _Table]] = {}  # by id of the message
+_TABLES_KEPT: Final = 256
+
+
+def _table(message: Message) -> _Table:
+    fields = {one.number: (one, _WIRE_TYPE.get(one.kind, _VARINT)) for one in message.fields}
+    if len(_TABLES) >= _TABLES_KEPT:
+        _TABLES.clear()
+    found = _TABLES[id(message)] = message, fields
+    return found
 
 
 def _extend(values: dict[str, Value], field: Field, more: list[Value]) -> None:
@@ -342,7 +361,7 @@ def _decode_one(field: Field, raw: int | bytes) -> Value:
     if isinstance(raw, int):
         if field.kind is Kind.BOOL:
             return raw != 0
-        signed = field.kind in (Kind.INT32, Kind.INT64) and raw >= 1 << 63
+        signed = raw >= 1 << 63 and field.kind in (Kind.INT32, Kind.INT64)
         return raw - (1 << 64) if signed else raw
     if field.kind is Kind.DOUBLE:
         return float(_DOUBLE.unpack(raw)[0])

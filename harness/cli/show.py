@@ -93,7 +93,8 @@ def run(options: argparse.Namespace) -> int:
                 seen += 1
                 if wanted.takes(line):
                     shown += 1
-                    print(json.dumps(facts_of(line)) if options.json else text_of(line))
+                    text = json.dumps(facts_of(line)) if options.json else text_of(line)
+                    sys.stdout.write(f"{text}\n")
         _warn(trace)
         if not shown:
             tell(outside[0] if outside else f"{trace.path}: {_nothing(trace, seen)}")
@@ -180,11 +181,15 @@ class _Filter:
         self._nodes: list[int] | None = options.node
         self._motors: list[str] | None = options.motor
         self._brief: bool = options.brief
+        given = (options.bus, options.id, options.node, options.motor)
+        self._is_given: bool = self._brief or any(one is not None for one in given)
         self._story = story
         self._known: dict[tuple[str, int | None, Kind, str], object] = {}
 
     def takes(self, line: Line) -> bool:
         """Return whether a line is selected."""
+        if not self._is_given:
+            return True
         if not self._is_wanted(line):
             return False
         self.met.update(line.names)

@@ -243,7 +243,7 @@ class RecordedNode(RecordedController):
         state = one.data[8]
         self._toggle = state & _TOGGLE if self._toggle is None else self._toggle ^ _TOGGLE
         data = bytes([state & ~_TOGGLE | self._toggle])
-        return replace(one, data=one.data[:8] + data + one.data[9:])
+        return one._replace(data=one.data[:8] + data + one.data[9:])
 
     def _mask(self, identifier: int) -> bytes | None:
         """Return the mask of a PDO's relevant bits at this point of the recording."""
@@ -344,11 +344,12 @@ def _timed(log: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog
 
     def timed(sent: list[Sent]) -> list[Sent]:
         nonlocal left_out
-        kept = [one for one in sent if data_bit_ns or len(one.data) == FRAME_BYTES]
-        left_out += len(sent) - len(kept)
         kept = [
-            replace(one, duration_ns=duration_ns(one.data, bit_ns, data_bit_ns)) for one in kept
+            Sent(one.delay_ns, one.data, duration_ns(one.data, bit_ns, data_bit_ns), one.goes_on)
+            for one in sent
+            if data_bit_ns or len(one.data) == FRAME_BYTES
         ]
+        left_out += len(sent) - len(kept)
         durations_ns.update((_identifier(one), one.duration_ns) for one in kept)
         return kept
 
@@ -365,7 +366,7 @@ def _timed(log: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog
     if periods_ns.keys() != log.periods_ns.keys():
         for step in steps:
             step.reactions = [
-                replace(one, goes_on=one.goes_on and _identifier(one) in periods_ns)
+                one._replace(goes_on=one.goes_on and _identifier(one) in periods_ns)
                 for one in step.reactions
             ]
     return replace(log, steps=steps, periods_ns=periods_ns), left_out

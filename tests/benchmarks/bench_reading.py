@@ -1,12 +1,14 @@
-"""CPU time per frame of reading, converting and showing recordings, with peers.
+"""CPU time per frame of reading, converting, showing and comparing recordings, with peers.
 
 The frames are those of `bench_traces`. Times are CPU times of the process, the best of several.
 """
 
 import contextlib
 import io
+import struct
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import can
@@ -14,12 +16,12 @@ from mcap.reader import make_reader
 
 from motorhil.harness.cli.main import main as motorhil
 from motorhil.harness.recording.conversion import convert
+from motorhil.traces.can_frame import classic
 from motorhil.traces.columns import read_can_arrays
-from motorhil.traces.decoding.narrative import Story
 from motorhil.traces.formats.blf import write_blf
 from motorhil.traces.formats.frames import Findings, Frame
-from motorhil.traces.formats.registry import open_source
-from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.formats.registry import open_source, record_frames
+from motorhil.traces.schema import Direction
 from tests.benchmarks.bench_traces import FRAMES, by_python_can, by_writer, cpu_us, entries, traffic
 
 LAST_S = 1.0
@@ -50,16 +52,36 @@ def by_our_blf(frames: list[Frame], path: Path) -> None:
         write_blf(file, ["can0", "can1"], frames[0].time_ns, iter(frames))
 
 
-def show_end(path: Path) -> None:
-    """Run `motorhil show --last` and discard its lines."""
+def obey(*words: str) -> None:
+    """Run a verb of the command line and discard its output."""
     with contextlib.redirect_stdout(io.StringIO()):
-        motorhil(["show", str(path), "--last", str(LAST_S)])
+        motorhil([*words])
 
 
-def lines_of(path: Path) -> int:
-    """Count the lines of all frames as sentences."""
-    with read_trace(path) as trace:
-        return sum(1 for _ in Story(trace).lines())
+def mapped(source: Path, target: Path) -> None:
+    """Copy a recording behind the SDO traffic that maps its PDOs, so that all are decoded."""
+    maps = [
+        Frame(0, f"can{drive % 2}", mapping, Direction.UNKNOWN, "")
+        for drive in range(12)
+        for mapping in _mappings(drive + 1)
+    ]
+    frames = chain(maps, open_source(source).frames(Findings()))
+    record_frames(target, frames, {})
+
+
+def _mappings(node: int) -> Iterator[bytes]:
+    """Yield the SDO downloads, with answers, that map the node's PDOs as `traffic` uses them."""
+    for index, objects in (
+        (0x1A00, (0x60410010, 0x60640020)),
+        (0x1600, (0x60400010, 0x607A0020)),
+        (0x1A01, (0x606C0020, 0x606C0020)),
+    ):
+        rows = (*enumerate(objects, 1), (0, len(objects)))
+        for subindex, value in rows:
+            head = struct.pack("<HB", index, subindex)
+            size = b"\x23" if subindex else b"\x2f"
+            yield classic(0x600 + node, size + head + struct.pack("<I", value))
+            yield classic(0x580 + node, b"\x60" + head + bytes(4))
 
 
 def run() -> list[tuple[str, float, str]]:
@@ -97,7 +119,13 @@ def run() -> list[tuple[str, float, str]]:
             ("reading into arrays against mcap's reader", stock / arrays, "times faster")
         )
         figures.append(("reading into arrays against BLFReader", blf / arrays, "times faster"))
-        add("frames as sentences", lambda: lines_of(ours))
+        story = folder / "mapped.mcap"
+        mapped(ours, story)
+        verbs = {"show": (str(story),), "diff": (str(story), str(story))}
+        for verb, files in verbs.items():
+            cost = add(f"{verb}, all PDOs mapped", lambda verb=verb: obey(verb, *verbs[verb]))
+            ratio = cost / stock / len(files)
+            figures.append((f"{verb} against mcap's reader, each file", ratio, "of its CPU"))
         frames = list(open_source(ours).frames(Findings()))
         own = add("writing BLF", lambda: by_our_blf(frames, folder / "a.blf"))
         peer = add("python-can's BLFWriter", lambda: by_python_can(messages, theirs))
@@ -115,7 +143,7 @@ def run() -> list[tuple[str, float, str]]:
         by_writer(senders, many, long)
         size = long.stat().st_size / 1e6
         from_ns = SPANS * span_ns - int(LAST_S * 1e9)
-        end = cpu_us(lambda: show_end(long)) * FRAMES / 1e3
+        end = cpu_us(lambda: obey("show", str(long), "--last", str(LAST_S))) * FRAMES / 1e3
         mine = cpu_us(lambda: by_mcap_reader(long, from_ns)) * FRAMES / 1e3
         figures.append((f"showing the last second of {size:.0f} MB", end, "ms CPU"))
         figures.append((f"mcap's reader, the last second of {size:.0f} MB, packed", mine, "ms CPU"))

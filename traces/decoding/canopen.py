@@ -9,8 +9,7 @@ codes, PDO); CiA 402-2 for the emergencies of drives.
 """
 
 import struct
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple, final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR
@@ -25,7 +24,7 @@ from motorhil.traces.decoding.events import (
     Value,
 )
 from motorhil.traces.decoding.objects import ObjectName, ObjectNames, axis_of, value_of, value_text
-from motorhil.traces.decoding.pdo import PdoKey, PdoMaps
+from motorhil.traces.decoding.pdo import Entry, PdoKey, PdoMaps
 from motorhil.traces.decoding.sdo import SdoReader, SdoStep, Step
 
 _HEAD: Final = struct.Struct("<IB")
@@ -169,12 +168,26 @@ def emergency_text(code: int) -> str:
 
 
 class _Object(NamedTuple):
-    """An object of a node: name and kind, axis, index on the first axis, subject of its facts."""
+    """An object of a node.
+
+    Attributes:
+        name: its name and kind.
+        place: its index and sub-index.
+        axis, first: its axis, and its index on the first axis.
+        subject: of its facts.
+        words: returns a whole number in words; None: as any of its kind.
+        is_motion: True for a measured or demanded quantity.
+        teaches: True if its value affects the decoding of frames.
+    """
 
     name: ObjectName
+    place: tuple[int, int]
     axis: int
     first: int
     subject: str
+    words: "Callable[[_Node, int, int], str] | None"
+    is_motion: bool
+    teaches: bool
 
 
 @final
@@ -200,16 +213,65 @@ class _Node:
         found = self._objects.get((index, subindex))
         if found is None:
             name = self.names.of(index, subindex, self.is_drive)
-            subject = f"{place_text(index, subindex)} {name.text}".strip()
+            axis, first = self._place(index)
+            found = _Object(
+                *(name, (index, subindex), axis, first),
+                f"{place_text(index, subindex)} {name.text}".strip(),
+                _WORDS.get(first),
+                first in _MOTION,
+                first in _MODE or first == _CONTROLWORD or 0x1000 <= index < 0x1C00,
+            )
             if len(self._objects) >= _OBJECTS_KEPT:
                 self._objects.clear()
-            found = _Object(name, *self._place(index), subject)
             self._objects[index, subindex] = found
         return found
 
     def _place(self, index: int) -> tuple[int, int]:
         """Return axis and index on the first axis; index 0 for device objects of a non-drive."""
         return axis_of(index) if self.is_drive or index < 0x6000 else (1, 0)
+
+
+@final
+class _Mapped:
+    """An object in a PDO: its place in the data, and how to read it."""
+
+    __slots__ = ("at", "end", "is_motion", "is_whole", "known", "mask", "sign", "size")
+
+    def __init__(self, known: _Object, at: int, bits: int, told_to: bool) -> None:
+        kind = known.name.kind
+        self.known = known
+        self.at = at
+        self.end = at + bits
+        self.size = (bits + 7) // 8
+        self.mask = (1 << bits) - 1
+        self.sign = 1 << bits - 1 if kind[:1] == "i" and bits else 0
+        # Others are read from their bytes, which may not fit the kind.
+        is_usual = kind[:1] in ("u", "i", "x") and int(kind[1:]) == bits
+        self.is_whole = is_usual or (not kind and 0 < bits <= 32)
+        # A set-point by SDO is an ordinary command; a stream of set-points is motion.
+        self.is_motion = known.is_motion and (not told_to or known.first in SETPOINTS)
+
+
+@final
+class _Pdo:
+    """A PDO as it is mapped now; `parts` is None if its mapping is unknown."""
+
+    __slots__ = ("key", "node", "parts", "what")
+
+    def __init__(
+        self, key: PdoKey, transmitted: bool, node: _Node, entries: list[Entry] | None
+    ) -> None:
+        _, _, which = key
+        self.key = key
+        self.node = node
+        self.what = f"{node.name} TPDO {which}" if transmitted else f"RPDO {which} to {node.name}"
+        self.parts: list[_Mapped] | None = None
+        if entries is not None:
+            self.parts, at = [], 0
+            for index, subindex, bits in entries:
+                known = node.object(index, subindex)
+                self.parts.append(_Mapped(known, at, bits, not transmitted))
+                at += bits
 
 
 @final
@@ -227,6 +289,8 @@ class CanopenDecoder:
         self._objects = dict(objects or {})
         self._standard = ObjectNames()
         self._nodes: dict[int, _Node] = {}
+        self._pdos: dict[int, list[_Pdo]] = {}  # by identifier, as of this version of the maps
+        self._pdos_version = 0
         for node, names in self._objects.items():
             self._learn_defaults(node, names)
 
@@ -244,8 +308,9 @@ class CanopenDecoder:
         node, function = identifier & 0x7F, identifier >> 7
         if identifier == 0:
             return self._nmt(data)
-        for key in self.maps.of(identifier):  # a PDO has its own identifier, wherever that is
-            return self._pdo(identifier, key, data)
+        pdos = self._pdos_of(identifier)
+        if pdos:  # a PDO has its own identifier, wherever that is
+            return self._pdo(pdos, data)
         if len(data) < 2 and self.maps.is_sync(identifier):
             counter = f" {data[0]}" if data else ""
             return DecodedEvent(Kind.SYNC, None, f"SYNC{counter}")
@@ -372,13 +437,13 @@ class CanopenDecoder:
         value = ""
         if step.step in (Step.UPLOADED, Step.DOWNLOAD) and step.index is not None:
             value = " = " + _value_text(
-                node, known, step.data, value_of(known.name.kind, step.data)
+                node, known, len(step.data), value_of(known.name.kind, step.data)
             )
         elif step.data:
             value = f": {step.data.hex(' ').upper()}"
         if step.step is Step.SEGMENT_UPLOADED and step.whole is not None and step.index:
             whole = value_of(known.name.kind, step.whole)
-            value += "; whole = " + _value_text(node, known, step.whole, whole)
+            value += "; whole = " + _value_text(node, known, len(step.whole), whole)
         size = "" if step.size is None else f", {step.size} bytes"
         word = {Step.ASK_UPLOAD: "read", Step.DOWNLOAD: "write", Step.UPLOADED: ""}.get(
             step.step, step.step.value
@@ -391,82 +456,117 @@ class CanopenDecoder:
         """Return the facts of an object's value, and learn from it."""
         node = self._node(number)
         known = node.object(index, subindex)
-        axis, first = known.axis, known.first
         value = value_of(known.name.kind, data)
-        if isinstance(value, int):
-            self.maps.learn(number, index, subindex, value)
-            if index == 0x1000:
-                node.be_drive(value & 0xFFFF in _DRIVES)
-            if first in _MODE and value:
-                node.modes[axis] = value
-        text = _value_text(node, known, data, value)
-        if first == _CONTROLWORD and told_to and isinstance(value, int):
-            node.controlwords[axis] = value
-        # A set-point by SDO is an ordinary command; a stream of set-points is motion.
-        return (Fact(known.subject, value, text, told_to, first in _MOTION and not told_to),)
+        text = _value_text(node, known, len(data), value)
+        if known.teaches and isinstance(value, int):
+            self._learn(number, node, known, value, told_to)
+        return (Fact(known.subject, value, text, told_to, known.is_motion and not told_to),)
+
+    def _learn(self, number: int, node: _Node, known: _Object, value: int, told_to: bool) -> None:
+        """Learn from the value of an object."""
+        index, subindex = known.place
+        self.maps.learn(number, index, subindex, value)
+        if index == 0x1000:
+            node.be_drive(value & 0xFFFF in _DRIVES)
+            self._pdos.clear()
+        if known.first in _MODE and value:
+            node.modes[known.axis] = value
+        if known.first == _CONTROLWORD and told_to:
+            node.controlwords[known.axis] = value
 
     # --------------------------------------------------------------------------------- PDO
 
-    def _pdo(self, identifier: int, key: PdoKey, data: bytes) -> DecodedEvent:
-        number, transmitted, which = key
-        kind = Kind.TPDO if transmitted else Kind.RPDO
-        keys = [key] if transmitted else self.maps.of(identifier)
-        parts: list[str] = []
+    def _pdos_of(self, identifier: int) -> list[_Pdo]:
+        """Return the PDOs with this identifier: a TPDO, or the RPDOs of all receivers."""
+        if self._pdos_version != self.maps.version:
+            self._pdos.clear()
+            self._pdos_version = self.maps.version
+        found = self._pdos.get(identifier)
+        if found is None:
+            keys = self.maps.of(identifier)
+            transmitted = bool(keys) and keys[0][1]
+            found = [
+                _Pdo(key, transmitted, self._node(key[0]), self.maps.objects(key))
+                for key in (keys[:1] if transmitted else keys)
+            ]
+            self._pdos[identifier] = found
+        return found
+
+    def _pdo(self, pdos: list[_Pdo], data: bytes) -> DecodedEvent:
+        number, transmitted, _ = pdos[0].key
+        sentences: list[str] = []
         facts: list[Fact] = []
-        for one in keys:
-            node, _, which = one
-            objects = self.maps.objects(one)
-            name = self._node(node).name
-            what = f"{name} TPDO {which}" if transmitted else f"RPDO {which} to {name}"
-            if objects is None:
+        for pdo in pdos:
+            if pdo.parts is None:
                 told = data.hex(" ").upper() or "no data"
-                subject = f"{'T' if transmitted else 'R'}PDO {which}"
+                subject = f"{'T' if transmitted else 'R'}PDO {pdo.key[2]}"
                 facts.append(Fact(subject, data, told, told_to=not transmitted))
-                parts.append(f"{what}: {told} (its mapping is not in the recording)")
+                sentences.append(f"{pdo.what}: {told} (its mapping is not in the recording)")
                 continue
-            values = self._mapped(node, objects, data, not transmitted)
-            parts.append(f"{what}: " + ", ".join(f"{f.subject} = {f.text}" for f in values))
+            values = self._mapped(pdo.key[0], pdo.node, pdo.parts, data, not transmitted)
+            told = ", ".join([f"{fact.subject} = {fact.text}" for fact in values])
+            sentences.append(f"{pdo.what}: {told}")
             facts += values
         return DecodedEvent(
-            kind, number if len(keys) == 1 else None, "; ".join(parts), tuple(facts)
+            Kind.TPDO if transmitted else Kind.RPDO,
+            number if len(pdos) == 1 else None,
+            "; ".join(sentences),
+            tuple(facts),
         )
 
     def _mapped(
-        self, number: int, objects: list[tuple[int, int, int]], data: bytes, told_to: bool
+        self, number: int, node: _Node, parts: list[_Mapped], data: bytes, told_to: bool
     ) -> list[Fact]:
         facts: list[Fact] = []
         raw = int.from_bytes(data, "little")
-        at = 0
-        for index, subindex, bits in objects:
-            if at + bits > 8 * len(data):
+        for part in parts:
+            known = part.known
+            if part.end > 8 * len(data):
                 missing = "missing: the PDO is too short"
-                facts.append(Fact(place_text(index, subindex), b"", missing, told_to))
+                facts.append(Fact(place_text(*known.place), b"", missing, told_to))
                 break
-            value = raw >> at & (1 << bits) - 1
-            at += bits
-            if index < 0x20:
+            if known.place[0] < 0x20:
                 continue  # a dummy object
-            part = value.to_bytes((bits + 7) // 8, "little")
-            (fact,) = self._object(number, index, subindex, part, told_to)
-            if not fact.motion and self._node(number).object(index, subindex).first in SETPOINTS:
-                fact = replace(fact, motion=True)
-            facts.append(fact)
+            whole = raw >> part.at & part.mask
+            value: Value = whole - 2 * (whole & part.sign)
+            if not part.is_whole:
+                value = value_of(known.name.kind, whole.to_bytes(part.size, "little"))
+            text = _value_text(node, known, part.size, value)
+            facts.append(Fact(known.subject, value, text, told_to, part.is_motion))
+            if known.teaches and isinstance(value, int):
+                self._learn(number, node, known, value, told_to)
         return facts
 
 
-def _value_text(node: _Node, known: _Object, data: bytes, value: Value) -> str:
-    if isinstance(value, int):
-        first = known.first
-        if first == _CONTROLWORD:
-            mode, before = node.modes.get(known.axis, 0), node.controlwords.get(known.axis)
-            return f"{value:04X}h {controlword_text(value, mode, before)}"
-        if first == _STATUSWORD:
-            return f"{value:04X}h {statusword_text(value, node.modes.get(known.axis, 0))}"
-        if first in _MODE:
-            return f"{value} {mode_text(value)}"
-        if first == 0x603F:
-            return f"{value:04X}h {emergency_text(value)}"
-    return value_text(known.name.kind, data, value)
+def _value_text(node: _Node, known: _Object, size: int, value: Value) -> str:
+    if known.words is not None and isinstance(value, int):
+        return known.words(node, known.axis, value)
+    return value_text(known.name.kind, size, value)
+
+
+def _controlword(node: _Node, axis: int, value: int) -> str:
+    words = controlword_text(value, node.modes.get(axis, 0), node.controlwords.get(axis))
+    return f"{value:04X}h {words}"
+
+
+def _statusword(node: _Node, axis: int, value: int) -> str:
+    return f"{value:04X}h {statusword_text(value, node.modes.get(axis, 0))}"
+
+
+def _mode(node: _Node, axis: int, value: int) -> str:
+    return f"{value} {mode_text(value)}"
+
+
+def _error_code(node: _Node, axis: int, value: int) -> str:
+    return f"{value:04X}h {emergency_text(value)}"
+
+
+_WORDS: Final = {
+    _CONTROLWORD: _controlword,
+    _STATUSWORD: _statusword,
+    **dict.fromkeys(_MODE, _mode),
+    0x603F: _error_code,
+}
 
 
 def place_text(index: int, subindex: int) -> str:

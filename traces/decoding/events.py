@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 Value = int | float | str | bytes
 
@@ -41,8 +41,7 @@ it is not a node.
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Fact:
+class Fact(NamedTuple):
     """One known fact about a node.
 
     Attributes:
@@ -61,9 +60,9 @@ class Fact:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen: making a frozen one takes four times as long
 class DecodedEvent:
-    """The decoded content of a frame.
+    """The decoded content of a frame. Nobody changes it.
 
     Attributes:
         kind: its purpose.

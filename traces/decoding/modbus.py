@@ -197,7 +197,7 @@ def _object_facts(pdu: bytes, told_to: bool) -> tuple[Fact, ...]:
     index, data = _u16(pdu, 5), pdu[_OBJECT_HEAD:]
     kind = standard_name(index, pdu[7]).kind
     value = value_of(kind, data)
-    text = value_text(kind, data, value)
+    text = value_text(kind, len(data), value)
     if index in _WORDS and isinstance(value, int):
         text += f" ({_WORDS[index](value)})"
     return (Fact(_object_name(pdu), value, text, told_to),)

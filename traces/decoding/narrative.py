@@ -15,6 +15,7 @@ from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.formats.modbus import Malformed, recorded_adu
 from motorhil.traces.mcap.reader import Trace, TraceMessage
+from motorhil.traces.mcap.records import Channel
 from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import (
     CAN_FRAME,
@@ -106,8 +107,7 @@ def _shown(value: int | float | str) -> str:
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """One message of a recording in words.
 
     Attributes:
@@ -167,6 +167,7 @@ class Story:
         self._lines: dict[str, ModbusDecoder] = {}
         self._decode_frame = FrameDecoder().decode
         self._motors = {place: name for name, place in self.names.motors.items()}
+        self._channels: dict[int, tuple[Channel, str, str]] = {}  # with schema and place
 
     def lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
         """Yield the messages of a span in words, without motion and plants (which need plots).
@@ -202,9 +203,13 @@ class Story:
         """Return one message in words; None for a kind that is not described."""
         channel, time_ns, payload = message
         topic = channel.topic
-        schema = channel.schema.name if channel.schema is not None else ""
-        parts = topic.strip("/").split("/")
-        place = parts[1] if len(parts) > 1 else parts[0]
+        known = self._channels.get(channel.number)
+        if known is None or known[0] is not channel:
+            parts = topic.strip("/").split("/")
+            place = parts[1] if len(parts) > 1 else parts[0]
+            schema = channel.schema.name if channel.schema is not None else ""
+            known = self._channels[channel.number] = channel, schema, place
+        _, schema, place = known
         try:
             if schema == CAN_FRAME.name:
                 return self._can(time_ns, topic, place, payload)
@@ -248,17 +253,8 @@ class Story:
         message = None if self._describe is None else self._describe(bus, frame)
         text = said.text if message is None else str(message)
         node = said.node if message is None or message.node is None else message.node
-        return Line(
-            time_ns,
-            topic,
-            bus,
-            text,
-            said,
-            identifier,
-            self._about(bus, node),
-            message=message,
-            direction=direction,
-        )
+        about = self._about(bus, node)
+        return Line(time_ns, topic, bus, text, said, identifier, about, (), direction, message)
 
     def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
         decoder = self._lines.get(name)
@@ -292,7 +288,9 @@ class Story:
             return ()
         controller = self.names.nodes.get((bus, node))
         motor = self._motors.get((bus, node))
-        return tuple(dict.fromkeys(name for name in (motor, controller) if name is not None))
+        if motor is None:
+            return () if controller is None else (controller,)
+        return (motor,) if controller in (None, motor) else (motor, controller)
 
 
 def _lock(motor: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:

@@ -313,15 +313,12 @@ def _real(data: bytes) -> float:
     return value
 
 
-def value_text(kind: str, data: bytes, value: Value) -> str:
-    """Return these bytes in words; `value` is what `value_of` reads in them."""
+def value_text(kind: str, size: int, value: Value) -> str:
+    """Return in words what `value_of` reads in `size` bytes."""
+    if isinstance(value, int):
+        if kind.startswith("x") or (not kind and value > 9):
+            return f"{value:0{int(kind[1:]) // 4 if kind else 2 * size}X}h"
+        return str(value)
     if isinstance(value, bytes):
         return value.hex(" ").upper() if value else "nothing"
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, float):
-        return f"{value:g}"
-    if kind.startswith("x") or (not kind and value > 9):
-        width = int(kind[1:]) // 4 if kind else 2 * len(data)
-        return f"{value:0{width}X}h"
-    return str(value)
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"

@@ -22,9 +22,14 @@ _SYNC: Final = 0x080
 
 @final
 class PdoMaps:
-    """The PDOs of all nodes on a bus."""
+    """The PDOs of all nodes on a bus.
+
+    Attributes:
+        version: changes whenever the answers of `of` or `objects` can change.
+    """
 
     def __init__(self) -> None:
+        self.version: int = 0
         self._identifiers: dict[PdoKey, int | None] = {}  # None: switched off
         self._entries: dict[PdoKey, dict[int, int]] = {}
         self._counts: dict[PdoKey, int] = {}
@@ -39,6 +44,7 @@ class PdoMaps:
             self._syncs[node] = value & _ID_MASK
         if not 0x1400 <= index < 0x1C00:
             return
+        self.version += 1
         key = (node, index >= 0x1800, (index & 0x1FF) + 1)
         if index & 0x200:
             self._objects.pop(key, None)
@@ -54,6 +60,7 @@ class PdoMaps:
 
     def forget(self, node: int) -> None:
         """Forget what was learned about a node, because it was reset."""
+        self.version += 1
         for known in (self._identifiers, self._entries, self._counts, self._types):
             for key in [key for key in known if key[0] == node]:
                 del known[key]

@@ -342,7 +342,7 @@ def _mark_periodic(node: _Node) -> None:
             # After the last frame the interval before it is assumed.
             next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
             if 4 * (next_ns - now_ns) <= 5 * period:
-                step.reactions[place] = replace(one, goes_on=True)
+                step.reactions[place] = one._replace(goes_on=True)
 
 
 def masked(frame: bytes, mask: bytes) -> bytes:

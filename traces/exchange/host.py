@@ -51,8 +51,7 @@ _FROM_NODE: Final = (Kind.TPDO, Kind.SDO_RESPONSE, Kind.EMERGENCY, Kind.HEARTBEA
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Told:
+class Told(NamedTuple):
     """A report of a node that a host can wait for: time, subject, value, and words."""
 
     time_ns: int

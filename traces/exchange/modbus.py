@@ -8,7 +8,6 @@ Source: MODBUS Application Protocol Specification V1.1b3, section 6.
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Final, NamedTuple, final
 
 from motorhil.traces.decoding.modbus import ModbusDecoder
@@ -133,7 +132,7 @@ class _Unit:
         for step in self._unclear:
             turn = step.turns[0]
             turn.answers = [
-                replace(sent, delay_ns=min(sent.delay_ns, usual_ns)) for sent in turn.answers
+                sent._replace(delay_ns=min(sent.delay_ns, usual_ns)) for sent in turn.answers
             ]
         return self.log
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import pairwise
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 Key = tuple[str, int, bytes]
 """Kind; object, identifier or command; data."""
@@ -32,8 +32,7 @@ class Role(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Sent:
+class Sent(NamedTuple):
     """A frame sent by the controller.
 
     Attributes:

@@ -22,8 +22,7 @@ _TOPIC: Final = "/modbus/"
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Adu:
+class Adu(NamedTuple):
     """One application data unit.
 
     Attributes:
@@ -132,19 +131,17 @@ def can_answer(request: Adu, response: Adu) -> bool:
 
 def adu_of(time_ns: int, data: bytes, *, tcp: bool, to_server: bool) -> Adu | Malformed:
     """Return the ADU in these bytes, with MBAP header or check sum."""
-
-    def malformed(problem: str) -> Malformed:
-        return Malformed(time_ns, None, 0, data, problem)
-
     if tcp:
         if len(data) <= _HEAD or int.from_bytes(data[4:6], "big") != len(data) - 6:
-            return malformed("MBAP header missing, or its length wrong")
+            problem = "MBAP header missing, or its length wrong"
+            return Malformed(time_ns, None, 0, data, problem)
         transaction = int.from_bytes(data[0:2], "big")
         return Adu(time_ns, None, to_server, transaction, data[6], data[_HEAD:])
     if len(data) < 4:
-        return malformed(f"{len(data)} bytes; an ADU has at least 4")
+        problem = f"{len(data)} bytes; an ADU has at least 4"
+        return Malformed(time_ns, None, 0, data, problem)
     if crc16(data[:-2]) != int.from_bytes(data[-2:], "little"):
-        return malformed("wrong CRC")
+        return Malformed(time_ns, None, 0, data, "wrong CRC")
     return Adu(time_ns, None, to_server, 0, data[0], data[1:-2])
 
 
@@ -152,10 +149,17 @@ def crc16(data: bytes) -> int:
     """Return the CRC of the serial line (MODBUS over Serial Line V1.02, 6.2.2)."""
     crc = 0xFFFF
     for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+        crc = crc >> 8 ^ _CRCS[(crc ^ byte) & 0xFF]
     return crc
+
+
+def _shifted(crc: int) -> int:
+    for _ in range(8):
+        crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+    return crc
+
+
+_CRCS: Final = [_shifted(byte) for byte in range(256)]
 
 
 class RecordedAdu(NamedTuple):

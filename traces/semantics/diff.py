@@ -24,6 +24,7 @@ from motorhil.traces.semantics.model import COMMANDS, Item, Key, Meaning, Series
 
 _MEASURED_MIN: Final = 32
 """The number of different values in both from which on a subject is a measured quantity."""
+_SURE: Final = 0.99  # of the tolerance: the rest covers the rounding of an interpolation
 
 
 @final
@@ -145,9 +146,12 @@ def _first_apart(
     series: Series, against: Series, allowed: float, time_ns: int
 ) -> tuple[Item, Item] | None:
     """Return the first sample that deviates from the other series, and the other's value."""
-    for (now_ns, distance), value in zip(apart(series, against, time_ns), series[1], strict=True):
+    for now_ns, value in zip(*series, strict=True):
+        there = _at(against, now_ns)
+        if abs(value - there) < _SURE * allowed:  # no need to look at the values around
+            continue
+        ((_, distance),) = apart(([now_ns], [value]), against, time_ns)
         if distance > allowed:
-            there = _at(against, now_ns)
             return Item(now_ns, (), f"{value:g}"), Item(now_ns, (), f"{there:g}")
     return None
 

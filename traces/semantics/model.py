@@ -16,8 +16,7 @@ from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.reader import Trace, TraceMessage
-from motorhil.traces.protobuf import decode
-from motorhil.traces.schema import JOINT_STATE
+from motorhil.traces.schema import JOINT_STATE, DoublesDecoder
 
 Key = tuple[str, int | None, str]
 """Bus, line, motor or group; node (None: none); subject."""
@@ -86,7 +85,8 @@ class Meaning:
             key: Key = ("events", None, line.names[0] if line.names else "")
         else:
             key = (line.place, None, line.topic.rpartition("/")[2])
-        self._add(key, " ".join(str(part) for part in (key[0], key[2]) if part), line, what)
+        self.labels.setdefault(key, " ".join(str(part) for part in (key[0], key[2]) if part))
+        self._add(key, line.time_ns, what or (line.text,), line.text)
 
     def take_state(self, time_ns: int, motor: str, position: float) -> None:
         """Take the position of a motor."""
@@ -95,32 +95,22 @@ class Meaning:
         self._move(key, time_ns, position)
 
     def _take_said(self, line: Line, said: DecodedEvent, names: dict[tuple[str, int], str]) -> None:
-        who = "all nodes"
-        if said.node is not None:
-            number = "unit" if line.topic.startswith("/modbus/") else "node"
-            name = names.get((line.place, said.node))
-            who = f"{number} {said.node}" + (f" ({name})" if name else "")
-        elif said.kind in (Kind.OTHER, Kind.BUS_ERROR):
-            who = ""
         for fact in said.facts:
-            if fact.told_to and self._of_devices:
+            subject, value, text, told_to, is_motion = fact
+            if told_to and self._of_devices:
                 continue
-            subject = COMMANDS if fact.told_to else fact.subject
-            key: Key = (line.place, said.node, subject)
-            label = ", ".join(part for part in (line.place, who, subject) if part)
-            if fact.motion:
-                self._take_motion(line, said, fact, label)
-            elif self._is_news(key, fact, said):
-                self._add(key, label, line, (fact.subject, fact.value), fact)
-
-    def _take_motion(self, line: Line, said: DecodedEvent, fact: Fact, label: str) -> None:
-        _, index = axis_of(int(fact.subject[:4], 16))
-        key: Key = (line.place, said.node, fact.subject)
-        self.labels.setdefault(key, label.replace(COMMANDS, fact.subject))
-        if index not in _QUANTITIES or isinstance(fact.value, str | bytes):
-            self.unheeded[key] = self.unheeded.get(key, 0) + (not fact.told_to)
-            return
-        self._move(key, line.time_ns, float(fact.value))
+            is_command = told_to and not is_motion
+            key: Key = (line.place, said.node, COMMANDS if is_command else subject)
+            if not is_motion and not self._is_news(key, fact, said):
+                continue
+            if key not in self.labels:
+                self.labels[key] = _label(key, line, said, names)
+            if not is_motion:
+                self._add(key, line.time_ns, (subject, value), f"{subject} = {text}")
+            elif isinstance(value, str | bytes) or not (key in self.motions or _is_compared(key)):
+                self.unheeded[key] = self.unheeded.get(key, 0) + (not told_to)
+            else:
+                self._move(key, line.time_ns, float(value))
 
     def _is_news(self, key: Key, fact: Fact, said: DecodedEvent) -> bool:
         """Return True if a fact is new or has changed; always for a command by SDO or NMT."""
@@ -132,15 +122,11 @@ class Meaning:
             return True
         return known != fact.value or said.kind is Kind.BOOT
 
-    def _add(
-        self, key: Key, label: str, line: Line, what: tuple[object, ...], fact: Fact | None = None
-    ) -> None:
-        self.labels.setdefault(key, label)
-        text = line.text if fact is None else f"{fact.subject} = {fact.text}"
+    def _add(self, key: Key, time_ns: int, what: tuple[object, ...], text: str) -> None:
         if len(self._shared) >= _SHARED_MAX:
             self._shared.clear()
         what, text = self._shared.setdefault((what, text), (what, text))
-        self.items.setdefault(key, []).append(Item(line.time_ns, what, text))
+        self.items.setdefault(key, []).append(Item(time_ns, what, text))
         self.kept_bytes += _ITEM_BYTES
 
     def _move(self, key: Key, time_ns: int, value: float) -> None:
@@ -150,6 +136,24 @@ class Meaning:
         series[0].append(time_ns)
         series[1].append(value)
         self.kept_bytes += _SAMPLE_BYTES
+
+
+def _is_compared(key: Key) -> bool:
+    """Return True for the motion of an object that is compared."""
+    return axis_of(int(key[2][:4], 16))[1] in _QUANTITIES
+
+
+def _label(key: Key, line: Line, said: DecodedEvent, names: dict[tuple[str, int], str]) -> str:
+    """Return a key of traffic in words."""
+    place, node, subject = key
+    who = "all nodes"
+    if node is not None:
+        number = "unit" if line.topic.startswith("/modbus/") else "node"
+        name = names.get((place, node))
+        who = f"{number} {node}" + (f" ({name})" if name else "")
+    elif said.kind in (Kind.OTHER, Kind.BUS_ERROR):
+        who = ""
+    return ", ".join(part for part in (place, who, subject) if part)
 
 
 _TELLING: Final = ("action", "owner", "holder", "phase", "motor", "method", "level", "message")
@@ -175,10 +179,11 @@ def meaning_of(
         TraceError: the recording is damaged, or has more events and motion.
     """
     story, meaning = Story(trace, names), Meaning(of_devices=is_report is not None)
+    states = DoublesDecoder(JOINT_STATE)
     for message in trace.messages():
         meaning.messages += 1
         if message[0].topic.endswith("/state"):
-            _take_state(meaning, message)
+            _take_state(meaning, message, states)
             continue
         line = story.line(message)
         if line is not None and (is_report is None or is_report(line)):
@@ -190,13 +195,13 @@ def meaning_of(
     return meaning
 
 
-def _take_state(meaning: Meaning, message: TraceMessage) -> None:
+def _take_state(meaning: Meaning, message: TraceMessage, states: DoublesDecoder) -> None:
     channel, time_ns, payload = message
     if channel.schema is None or channel.schema.name != JOINT_STATE.name:
         return
     try:
-        position = decode(JOINT_STATE, payload).get("position")
+        position = states.decode(payload).get("position")
     except ValueError:
         return
-    if isinstance(position, float):
+    if position is not None:
         meaning.take_state(time_ns, channel.topic.split("/")[2], position)

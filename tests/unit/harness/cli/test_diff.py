@@ -6,7 +6,7 @@ import pytest
 from motorhil.harness.cli import diff
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.reader import read_trace
-from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
+from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK, SERIAL_DATA
 from motorhil.traces.semantics.model import meaning_of
 from tests.support.recordings.handmade import MS, Recorded, S
 
@@ -50,6 +50,22 @@ def compare(tmp_path, capsys):
         return status, capsys.readouterr().out
 
     return compared
+
+
+def on_a_serial_line(last):
+    def make(one):
+        for number in range(40):
+            data = {"data": bytes((number if number < 39 else last,))}
+            one.message(number * MS, "/serial/line", SERIAL_DATA, data)
+
+    return make
+
+
+def test_bytes_of_serial_lines_are_compared(compare):
+    assert compare(on_a_serial_line(39), on_a_serial_line(39))[0] == 0
+    status, out = compare(on_a_serial_line(39), on_a_serial_line(7))
+    assert status == 1
+    assert "line line: 27 at 0.039000 s, but 07 at 0.039000 s" in out
 
 
 def test_recording_equals_itself(compare):
