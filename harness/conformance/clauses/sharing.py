@@ -29,6 +29,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
     speed,
     turn,
+    until_rest_s,
 )
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
@@ -397,6 +398,7 @@ def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     "CLOSE-01",
     Level.L3,
     needs=_MOVES,
+    bench={Ability.SOLE_USER},  # the last one closes the hardware object
     source="Device.close: releases the device; errors, LinkError: this hardware object is closed",
 )
 def closed_motor_refuses_commands(bench: RigProtocol) -> None:
@@ -407,6 +409,37 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     for operation in (motor.start, motor.enable, motor.reset_fault, motor.disable):
         what = f"{operation.__name__}() returned after close()"
         expect_raises(MotorError, operation, what)
+
+
+@clause(
+    "CLOSE-02",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_SHARED, Ability.SOLE_USER},
+    source="Device.close: releases the device; paper 3.5, one hardware object for each motor",
+)
+def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
+    """After close(), the motor can be opened again in the same program; the old one is of no use."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, way)
+    begin_move(bench, motor, 2.0 * way, 0.5 * shortest_s(motor, way))
+    motor.close()
+    rest_for(bench, until_rest_s(bench, motor))
+    again = bench.another_user_of(motor)  # a bench makes it when it is first asked for
+    again.reset_fault()
+    again.enable()
+    for _ in range(2):
+        for operation in (motor.start, motor.enable, motor.position, motor.velocity):
+            what, begun_ns = f"{operation.__name__}() of a closed motor", bench.runtime.now_ns()
+            expect_raises(MotorError, operation, f"{what} returned, since it was opened again")
+            took_s = elapsed_s(bench, begun_ns)
+            most_s = bench.facts.time_tolerance_s
+            expect(took_s <= most_s, f"{what} was refused after {took_s:g} s; limit {most_s:g} s")
+        before = position_of(bench, again)
+        move(bench, again, way)
+        expect_moved(bench, again, before, way, "opened again")
+    motor.close()
+    expect_state(again, MotorState.ENABLED, "after a second close() of the old one")
 
 
 @clause(

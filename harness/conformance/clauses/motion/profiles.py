@@ -2,6 +2,7 @@
 
 from functools import partial
 from itertools import pairwise
+from math import isclose, sqrt
 from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -9,10 +10,10 @@ from motorhil.harness.conformance.clause import Level, NotApplicable, clause, ex
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
-    expect_raises,
     expect_rest,
     expect_speed,
     expect_tracks,
+    failure_of,
     finish,
     follow,
     half_move,
@@ -150,7 +151,17 @@ def final_velocity_brakes_at_limit(bench: RigProtocol) -> None:
             side * way, limits=limits, final_derivatives=(side * velocity,)
         )
         try:
-            expect_raises(LimitError, partial(follow, motor, too_near), "no room to brake")
+            error = failure_of(partial(follow, motor, too_near))
+            if isinstance(error, UnsupportedError):
+                raise error
+            fastest = velocity / sqrt(2.0)  # that brakes in half of the distance
+            expect(
+                isinstance(error, LimitError)
+                and error.high is not None
+                and isclose(error.high, fastest, rel_tol=0.01),
+                f"no room to brake from {velocity:g} {model.unit}/s: {error!r}; expected a refusal"
+                f" that allows {fastest:g} {model.unit}/s",
+            )
             follow(motor, onward)
         except UnsupportedError as error:
             raise NotApplicable(f"it ends at rest only: {error}") from None
