@@ -63,7 +63,7 @@ def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
             expect(hardware is not None, "low-level access: the hardware object is None")
             with motor.low_level() as again:
                 expect(again is hardware, "a block within low-level access has another object")
-            for operation in (motor.start, motor.stop, motor.disable):
+            for operation in (motor.start, motor.stop, motor.disable, motor.is_referenced):
                 what = f"{operation.__name__}() was accepted during low-level access"
                 expect_raises(MotorBusyError, operation, what)
             rest_for(bench, 0.3)

@@ -530,6 +530,33 @@ def readers_at_once_get_own_answers(bench: RigProtocol) -> None:
 
 
 @clause(
+    "SHARE-15",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="motorapi.ownership: one operation at a time, in the order of requests; Motor.enable",
+)
+def operations_at_once_take_turns(bench: RigProtocol) -> None:
+    """Operations of two users at the same instant are all carried out, one after the other."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    move(bench, motor, way)
+    for first, second in ((motor, other), (other, motor)):
+        first.disable()
+        party = bench.runtime.spawn("second", second.enable)
+        first.reset_fault()
+        first.enable()
+        expect(party.join(_PATIENCE_S), f"enable() of {second.name} does not end")
+        if party.error is not None:
+            raise Violated(f"enable() of both at once: {second.name} got {party.error!r}")
+        for user in (first, second):
+            expect_state(user, MotorState.ENABLED, "enabled by two users at once")
+        before = position_of(bench, motor)
+        move(bench, second, way)
+        expect_moved(bench, motor, before, way, "enabled by two users at once")
+
+
+@clause(
     "SHARE-11",
     Level.L3,
     needs={Capability.POSITION_TRAJECTORY},
