@@ -9,14 +9,18 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    begin_move,
     expect_at,
     expect_moved,
     expect_raises,
+    expect_rest,
     expect_speed,
     expect_state,
+    failure_of,
     finish,
     follow,
     long_move,
+    midway_s,
     move,
     position_of,
     rest_for,
@@ -181,6 +185,29 @@ def hardware_object_does_what_it_is_told(bench: RigProtocol) -> None:
         before = motor.position()
         move(bench, motor, way)
         expect_at(bench, motor, before + way, "moved after the hardware object was used")
+    for name in ("halt", "quick_stop"):
+        stop = getattr(hardware, name, None)
+        if stop is not None:
+            _expect_stopped(bench, f"{name}() of the hardware object", stop)
+
+
+def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -> None:
+    """Check that this call ends a motion, as any stop does, or is refused and leaves it alone."""
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    before = begin_move(bench, motor, way, midway_s(motor, way, 0.3))
+    error = failure_of(stop)
+    if error is not None:
+        expect(isinstance(error, MotorBusyError), f"{what} in a motion: {error!r}")
+        finish(bench, motor, shortest_s(motor, way))
+        expect_moved(bench, motor, before, way, f"{what} was refused")
+        return
+    rest_for(bench, motor.model.velocity_max / motor.model.deceleration + _LOOK_S)
+    expect_rest(bench, motor, f"after {what} in a motion")
+    made, unit = abs(position_of(bench, motor) - before), motor.model.unit
+    expect(made < 0.9 * way, f"{what} in a motion of {way:g} {unit}: it made {made:g} {unit}")
+    motor.stop()
+    finish(bench, motor)
+    motor.enable()
 
 
 @clause(

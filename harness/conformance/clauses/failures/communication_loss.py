@@ -40,6 +40,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DeadlineExceeded,
     Motor,
+    MotorError,
     MotorState,
 )
 
@@ -303,9 +304,17 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         bench.afresh()
         motor, way = bench.motor, 0.25 * long_move(bench)
         expected_s, what = shortest_s(motor, way), f"all frames {identifier:03X}h lost"
+        told = motor.position()
         before = begin_move(bench, motor, way, 0.3 * expected_s)
         with bench.lose_identifier(identifier) as count:
             error = failure_of(partial(finish, bench, motor, expected_s))
+            rest_for(bench, until_rest_s(bench, motor))
+            with suppress(MotorError):  # else it is fresh
+                made, moved = motor.position() - told, bench.true_position(motor) - before
+                expect(
+                    abs(made - moved) <= 2.0 * bench.facts.window,
+                    f"{what}: moved by {moved:g}, position() by {made:g}; expected an error",
+                )
             lost += count()
         is_open = isinstance(error, DeadlineExceeded) and error.awaited.startswith("end of motion")
         expect(

@@ -250,6 +250,45 @@ def fault_leaves_other_motors_usable(bench: RigProtocol) -> None:
 
 
 @clause(
+    "FAULT-07",
+    Level.L5,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT, Ability.ONE_KIND, Ability.AFRESH},
+    source="CiA 301, EMCY is not confirmed; CiA 402-2, 603Fh; Motor.fault: what the drive says",
+)
+def fault_without_its_message_is_reported(bench: RigProtocol) -> None:
+    """If the message that a fault sends is lost, the fault is reported all the same, or no code."""
+    bench.motor.enable()
+    with bench.identifiers() as usual:
+        rest_for(bench, _BACK_S)
+    with bench.identifiers() as seen:
+        bench.fail(bench.motor)
+        rest_for(bench, _NOTICED_S)
+    messages = sorted(set(seen) - set(usual))
+    if not messages:
+        raise NotApplicable("a fault sends no message of its own")
+    for identifier in messages:
+        bench.afresh()
+        motor, what = bench.motor, f"a fault without its message {identifier:03X}h"
+        motor.enable()
+        with bench.lose_identifier(identifier) as count:
+            code = bench.fail(motor)
+            rest_for(bench, _NOTICED_S)
+            reached(count() > 0, "the loss of that message")
+        if motor.state() is MotorState.OFFLINE:
+            continue  # it says nothing else
+        fault = motor.fault()
+        expect(fault is not None and fault.code == code, f"{what}, {code:04X}h: {fault}")
+        expect_state(motor, MotorState.FAULT, what)
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(TrapezoidalTrajectory(0.1 * long_move(bench)))
+        for operation in (motor.start, motor.enable):
+            error = _raised(f"{operation.__name__}() after {what}", operation)
+            expect(error.code in (code, 0), f"{what}, {code:04X}h: {error}; expected it, or 0")
+        expect_usable(bench, motor, what)
+
+
+@clause(
     "HEAR-01",
     Level.L2,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
