@@ -9,7 +9,6 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
-    begin_move,
     expect_at,
     expect_moved,
     expect_raises,
@@ -25,6 +24,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     position_of,
     rest_for,
     shortest_s,
+    smooth_move,
     turn,
 )
 from motorhil.harness.rig.config.conformance import Capability
@@ -37,6 +37,7 @@ from motorhil.motorapi import (
     PeerError,
     StateError,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 
 _BACK_S: Final = 1.0
@@ -194,20 +195,27 @@ def hardware_object_does_what_it_is_told(bench: RigProtocol) -> None:
 def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -> None:
     """Check that this call ends a motion, as any stop does, or is refused and leaves it alone."""
     motor, way = bench.motor, 2.0 * long_move(bench)
-    before = begin_move(bench, motor, way, midway_s(motor, way, 0.3))
-    error = failure_of(stop)
-    if error is not None:
-        expect(isinstance(error, MotorBusyError), f"{what} in a motion: {error!r}")
-        finish(bench, motor, shortest_s(motor, way))
-        expect_moved(bench, motor, before, way, f"{what} was refused")
-        return
-    rest_for(bench, motor.model.velocity_max / motor.model.deceleration + _LOOK_S)
-    expect_rest(bench, motor, f"after {what} in a motion")
-    made, unit = abs(position_of(bench, motor) - before), motor.model.unit
-    expect(made < 0.9 * way, f"{what} in a motion of {way:g} {unit}: it made {made:g} {unit}")
-    motor.stop()
-    finish(bench, motor)
-    motor.enable()
+    for trajectory in (TrapezoidalTrajectory(way), smooth_move(motor, -way)):
+        motor.enable()
+        before = position_of(bench, motor)
+        try:
+            follow(motor, trajectory)
+        except UnsupportedError:
+            continue
+        rest_for(bench, midway_s(motor, way, 0.5))
+        error = failure_of(stop)
+        if error is not None:
+            expect(isinstance(error, MotorBusyError), f"{what} in a motion: {error!r}")
+            finish(bench, motor, _SLOW * shortest_s(motor, way))
+            made = abs(position_of(bench, motor) - before)
+            expect(abs(made - way) <= bench.facts.window, f"{what} was refused: moved {made:g}")
+            continue
+        rest_for(bench, motor.model.velocity_max / motor.model.deceleration + _LOOK_S)
+        expect_rest(bench, motor, f"after {what} in {trajectory!r}")
+        made, unit = abs(position_of(bench, motor) - before), motor.model.unit
+        expect(made < 0.9 * way, f"{what} in {trajectory!r}: it made {made:g} {unit}")
+        motor.stop()
+        finish(bench, motor)
 
 
 @clause(
