@@ -547,21 +547,52 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
 )
 def restarted_drive_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
     """After a restart of its drive, a motor is referenced only if its position is still right."""
+
+    def restart() -> None:
+        bench.restart(bench.motor)
+        rest_for(bench, until_rest_s(bench, bench.motor))
+
+    _expect_true_reference(bench, "a restart", restart)
+
+
+@clause(
+    "HOME-04",
+    Level.L5,
+    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.CUT},
+    source="Motor.is_referenced: position 0 is that of the model; Motor.home",
+)
+def lost_motor_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
+    """After a loss of its drive, a motor is referenced only if its position is still right."""
+
+    def lose() -> None:
+        with bench.cut(bench.motor):
+            rest_for(bench, until_rest_s(bench, bench.motor))
+            bench.motor.state()  # a host that only asks when asked to notices the loss now
+
+    _expect_true_reference(bench, "a loss", lose)
+
+
+def _expect_true_reference(
+    bench: RigProtocol, trouble: str, suffer: Callable[[], object]
+) -> None:
+    """Check that a homed motor is referenced after this trouble only if its position is right."""
     motor, way = bench.motor, 0.3 * long_move(bench)
     move(bench, motor, way)
     if failure_of(partial(motor.home, _HERE)) is not None:
         raise NotApplicable("homing on the spot is refused")
     zero = bench.true_position(motor)
     move(bench, motor, way)
-    bench.restart(motor)
-    rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
+    suffer()
+    rest_for(bench, _BACK_S)
     is_referenced, reported = motor.is_referenced(), motor.position()
     true, unit = bench.true_position(motor) - zero, motor.model.unit
     expect(
         not is_referenced or abs(reported - true) <= 2.0 * bench.facts.window,
-        f"after a restart: referenced, but position() is {reported:g} {unit} at {true:g} {unit}"
+        f"after {trouble}: referenced, but position() is {reported:g} {unit} at {true:g} {unit}"
         " from home; expected this position, or not referenced",
     )
+    motor.reset_fault()
     motor.home(_HERE)
-    expect(motor.is_referenced(), "homed again after a restart: not referenced")
-    expect_at(bench, motor, 0.0, "homed again after a restart")
+    expect(motor.is_referenced(), f"homed again after {trouble}: not referenced")
+    expect_at(bench, motor, 0.0, f"homed again after {trouble}")
