@@ -33,6 +33,7 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
@@ -419,13 +420,16 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     source="Device.close: releases the device; paper 3.5, one hardware object for each motor",
 )
 def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
-    """After close(), the motor can be opened again in the same program; the old one is of no use."""
+    """After close(), a motor can be opened again in the same program; the old one is refused."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     begin_move(bench, motor, 2.0 * way, 0.5 * shortest_s(motor, way))
     motor.close()
     rest_for(bench, until_rest_s(bench, motor))
-    again = bench.another_user_of(motor)  # a bench makes it when it is first asked for
+    try:
+        again = bench.another_user_of(motor)  # a bench makes it when it is first asked for
+    except RigError as error:
+        raise Violated(f"it cannot be opened again: {error}") from error
     again.reset_fault()
     again.enable()
     for _ in range(2):

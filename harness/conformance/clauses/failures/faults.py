@@ -573,9 +573,7 @@ def lost_motor_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
     _expect_true_reference(bench, "a loss", lose)
 
 
-def _expect_true_reference(
-    bench: RigProtocol, trouble: str, suffer: Callable[[], object]
-) -> None:
+def _expect_true_reference(bench: RigProtocol, trouble: str, suffer: Callable[[], object]) -> None:
     """Check that a homed motor is referenced after this trouble only if its position is right."""
     motor, way = bench.motor, 0.3 * long_move(bench)
     move(bench, motor, way)
