@@ -36,6 +36,7 @@ class Ability(Enum):
     TRAFFIC = "see the commands sent to a drive"
     SECOND_MOTOR = "move a second motor"
     SEVERAL_USERS = "create several logical motors for one physical motor"
+    SOLE_USER = "have a motor without any other user"
 
 
 class RigProtocol(Protocol):

@@ -22,13 +22,13 @@ _POLLED = frozenset(
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("TRAJ-11", "TRAJ-12"),
         *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
-        *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11"),
+        *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11", "FAULT-07", "TRAJ-14"),
         *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CANOPEN),
     }
 )
 _STREAMED = frozenset(  # functions of time for positions; no common trigger, no supply switch
     {
-        *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12"),
+        *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12", "TRAJ-14"),
         *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
         *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", "LOW-06"),
         *_OF_CANOPEN,
@@ -37,7 +37,8 @@ _STREAMED = frozenset(  # functions of time for positions; no common trigger, no
 _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of velocity and current
     {
         *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LEAD-01", "LEAD-02"),
-        *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12)),
+        *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12, 14)),
+        *("FAULT-07", "HOME-04"),
         *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
         *("OTHER-01", "LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
     }
@@ -50,7 +51,8 @@ NOT_APPLICABLE = {
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
-            *(f"LOST-{number:02}" for number in range(1, 12)),
+            *(f"LOST-{number:02}" for number in range(1, 13)),
+            *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
@@ -58,18 +60,20 @@ NOT_APPLICABLE = {
     "dynamixel": frozenset(  # in position mode
         {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
-            *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13)),
+            *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13, 14)),
+            *("FAULT-07", "HOME-04"),
             *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "LOW-03", "SYNC-05"),
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
             *("LOST-11", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
     "leadshine": _POLLED,
-    "mit": _STREAMED,
+    "mit": _STREAMED | {"FAULT-07"},
     "moteus": frozenset(
         {
             *("SET-04", "SET-07", "SET-10", "TRAJ-06"),  # no torque or current
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
+            *("TRAJ-14", "FAULT-07"),
             *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "HOME-03", "LOW-03", "LOW-04", "LOST-07", "OTHER-01", "SHARE-02"),
             *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),

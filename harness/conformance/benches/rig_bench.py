@@ -212,6 +212,8 @@ class RigBench:
     def abilities(self) -> Sequence[Ability]:
         """The abilities of an emulated rig for these motors."""
         able = {Ability.AFRESH, Ability.SEVERAL_USERS}
+        if not self._readers:
+            able.add(Ability.SOLE_USER)
         if len(self.facts.motors) > 1:
             able.add(Ability.SECOND_MOTOR)
         first = self._description.motors[self.facts.motors[0]]

@@ -139,7 +139,7 @@ class WallBench:
     @property
     def abilities(self) -> Sequence[Ability]:
         """The abilities of this bench."""
-        able = [Ability.AFRESH, Ability.SEVERAL_USERS]
+        able = [Ability.AFRESH, Ability.SEVERAL_USERS, Ability.SOLE_USER]
         if len(self.facts.motors) > 1:
             able.append(Ability.SECOND_MOTOR)
         return tuple(one for one in Ability if one in able)

@@ -10,6 +10,7 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     FINE_S,
+    braking_distance,
     elapsed_s,
     expect_group_moved,
     expect_moved,
@@ -30,6 +31,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     rest_for,
     shortest_s,
     smooth_move,
+    speed,
     trajectories_of,
 )
 from motorhil.harness.conformance.clauses.tracks import (
@@ -68,6 +70,7 @@ _WATCHED_S = 0.2
 _LOOKS = 10  # at the positions, while no caller waits
 _LEVELS = ("SEQUENTIAL", "TRIGGERED", "CYCLIC")
 _STREAMED_S = 20.0
+_SPEED_S = 0.02
 _SLOWLY = 0.1  # of the largest velocity
 _FIRST = 0.01  # of a streamed move: it has begun
 _FAR = 1e-6  # U: two skews that are not meant to differ
@@ -269,9 +272,17 @@ def streamed_group_is_timed_and_stopped(bench: RigProtocol) -> None:
     begun = positions_of(bench, group)
     group.start()
     rest_for(bench, midway_s(first, 2.0 * way, 0.5))
+    velocity, stopped_at = speed(bench, first, _SPEED_S), position_of(bench, first)
     first.stop()
     finish(bench, first)
     held = position_of(bench, first)
+    least = 0.5 * braking_distance(first, velocity)
+    most = 2.4 * least + abs(velocity) * (bench.facts.latency_s[1] + _SPEED_S)
+    expect(
+        least <= abs(held - stopped_at) <= most,
+        f"{first.name}, stopped at {velocity:g} {first.model.unit}/s while the other goes on, moved"
+        f" {held - stopped_at:.4g} {first.model.unit}; expected {least:.4g} to {most:.4g}",
+    )
     reached(not second.is_done(), "a stop of one member during the motion of the other")
     expect(abs(held - begun[0]) < 1.8 * abs(way), f"{first.name} was stopped, but made its way")
     finish(bench, second, _STREAMED_S)

@@ -12,15 +12,19 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_at,
     expect_moved,
     expect_raises,
+    expect_rest,
     expect_speed,
     expect_state,
+    failure_of,
     finish,
     follow,
     long_move,
+    midway_s,
     move,
     position_of,
     rest_for,
     shortest_s,
+    smooth_move,
     turn,
 )
 from motorhil.harness.rig.config.conformance import Capability
@@ -33,6 +37,7 @@ from motorhil.motorapi import (
     PeerError,
     StateError,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 
 _BACK_S: Final = 1.0
@@ -63,7 +68,7 @@ def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
             expect(hardware is not None, "low-level access: the hardware object is None")
             with motor.low_level() as again:
                 expect(again is hardware, "a block within low-level access has another object")
-            for operation in (motor.start, motor.stop, motor.disable):
+            for operation in (motor.start, motor.stop, motor.disable, motor.is_referenced):
                 what = f"{operation.__name__}() was accepted during low-level access"
                 expect_raises(MotorBusyError, operation, what)
             rest_for(bench, 0.3)
@@ -181,6 +186,36 @@ def hardware_object_does_what_it_is_told(bench: RigProtocol) -> None:
         before = motor.position()
         move(bench, motor, way)
         expect_at(bench, motor, before + way, "moved after the hardware object was used")
+    for name in ("halt", "quick_stop"):
+        stop = getattr(hardware, name, None)
+        if stop is not None:
+            _expect_stopped(bench, f"{name}() of the hardware object", stop)
+
+
+def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -> None:
+    """Check that this call ends a motion, as any stop does, or is refused and leaves it alone."""
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    for trajectory in (TrapezoidalTrajectory(way), smooth_move(motor, -way)):
+        motor.enable()
+        before = position_of(bench, motor)
+        try:
+            follow(motor, trajectory)
+        except UnsupportedError:
+            continue
+        rest_for(bench, midway_s(motor, way, 0.5))
+        error = failure_of(stop)
+        if error is not None:
+            expect(isinstance(error, MotorBusyError), f"{what} in a motion: {error!r}")
+            finish(bench, motor, _SLOW * shortest_s(motor, way))
+            made = abs(position_of(bench, motor) - before)
+            expect(abs(made - way) <= bench.facts.window, f"{what} was refused: moved {made:g}")
+            continue
+        rest_for(bench, motor.model.velocity_max / motor.model.deceleration + _LOOK_S)
+        expect_rest(bench, motor, f"after {what} in {trajectory!r}")
+        made, unit = abs(position_of(bench, motor) - before), motor.model.unit
+        expect(made < 0.9 * way, f"{what} in {trajectory!r}: it made {made:g} {unit}")
+        motor.stop()
+        finish(bench, motor)
 
 
 @clause(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import Any, Final, final
 
 from motorhil.harness.conformance.bench import RigProtocol
@@ -19,6 +20,7 @@ from motorhil.harness.conformance.clauses.helpers import rest_for
 from motorhil.motorapi import MotorBusyError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.claim import (
     AcquirePolicy,
     Claim,
@@ -175,11 +177,13 @@ def takeover_ends_former_ownership(bench: RigProtocol) -> None:
             run = one.begin()
             rest_for(bench, 1.0)
             spare_s = bench.facts.time_tolerance_s
+            seen = one.motor.interruptions
             with other.own("fire", take_over=True) as taken:
                 expect(taken.token > claim.token, "the token of the new owner is not greater")
                 expect(other.ownership.is_orphan, "a motor in motion is not to be brought to rest")
                 expect(one.ownership.is_lost_by(one.owner), "a loss was not noticed")
                 expect(not claim.is_held, "held, although it was lost")
+                expect(one.motor.interruptions > seen, "a start in progress would not notice it")
                 by = claim.lost_to or ""
                 expect("fire" in by and "on demand" in by, f"lost to {by!r}")
                 expect(run.interrupted_by == by, f"its motion was ended by {run.interrupted_by}")
@@ -355,6 +359,25 @@ def motion_keeps_other_programs_away(bench: RigProtocol) -> None:
                 goes_on.append(True)
                 one.ownership.keep(one.owner, partial(bool, goes_on), news, True)
                 expect(not one.ownership.is_here, "a stop without ownership took the motor")
+        _expect_kept_by_motion(bench, one, other)
+
+
+def _expect_kept_by_motion(bench: RigProtocol, one: _Program, other: _Program) -> None:
+    """Check that a logical motor keeps its physical one until its motion is over."""
+    is_over: list[bool] = []
+    hooks: Any = SimpleNamespace(is_done=lambda: bool(is_over), latest=lambda: None)
+    motor = LogicalMotor("pan", bench.motor.model, bench.runtime, one.motor, hooks)
+    with one.ownership.owned(motor, "start() of pan"):
+        run = motor.begin("start", None)
+        motor.keep()
+    _refusal(_try(other), "a motor whose motion has begun")
+    rest_for(bench, 0.1)
+    _refusal(_try(other), "a motor whose motion goes on")
+    expect(not motor.look(run) and motor.goes_on(run), "a motion that goes on has ended")
+    is_over.append(True)
+    rest_for(bench, 0.1)
+    _try(other)()
+    expect(motor.look(run) and not motor.goes_on(run), "a motion that has ended goes on")
 
 
 @clause("PROC-06", Level.L3, source=f"{_SOURCE}; turns on a bus")

@@ -29,9 +29,11 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
     speed,
     turn,
+    until_rest_s,
 )
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ControlMode,
     MotionInterrupted,
@@ -397,6 +399,7 @@ def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     "CLOSE-01",
     Level.L3,
     needs=_MOVES,
+    bench={Ability.SOLE_USER},  # the last one closes the hardware object
     source="Device.close: releases the device; errors, LinkError: this hardware object is closed",
 )
 def closed_motor_refuses_commands(bench: RigProtocol) -> None:
@@ -407,6 +410,40 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     for operation in (motor.start, motor.enable, motor.reset_fault, motor.disable):
         what = f"{operation.__name__}() returned after close()"
         expect_raises(MotorError, operation, what)
+
+
+@clause(
+    "CLOSE-02",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_SHARED, Ability.SOLE_USER},
+    source="Device.close: releases the device; paper 3.5, one hardware object for each motor",
+)
+def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
+    """After close(), a motor can be opened again in the same program; the old one is refused."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, way)
+    begin_move(bench, motor, 2.0 * way, 0.5 * shortest_s(motor, way))
+    motor.close()
+    rest_for(bench, until_rest_s(bench, motor))
+    try:
+        again = bench.another_user_of(motor)  # a bench makes it when it is first asked for
+    except RigError as error:
+        raise Violated(f"it cannot be opened again: {error}") from error
+    again.reset_fault()
+    again.enable()
+    for _ in range(2):
+        for operation in (motor.start, motor.enable, motor.position, motor.velocity):
+            what, begun_ns = f"{operation.__name__}() of a closed motor", bench.runtime.now_ns()
+            expect_raises(MotorError, operation, f"{what} returned, since it was opened again")
+            took_s = elapsed_s(bench, begun_ns)
+            most_s = bench.facts.time_tolerance_s
+            expect(took_s <= most_s, f"{what} was refused after {took_s:g} s; limit {most_s:g} s")
+        before = position_of(bench, again)
+        move(bench, again, way)
+        expect_moved(bench, again, before, way, "opened again")
+    motor.close()
+    expect_state(again, MotorState.ENABLED, "after a second close() of the old one")
 
 
 @clause(
@@ -494,6 +531,33 @@ def readers_at_once_get_own_answers(bench: RigProtocol) -> None:
         watch.end(0.5 * way)
     wrong = [velocity for velocity in velocities if not -0.1 * top <= velocity <= top]
     expect(not wrong, f"velocities of {wrong} were read in a move of at most {top:g}")
+
+
+@clause(
+    "SHARE-15",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="motorapi.ownership: one operation at a time, in the order of requests; Motor.enable",
+)
+def operations_at_once_take_turns(bench: RigProtocol) -> None:
+    """Operations of two users at the same instant are all carried out, one after the other."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    move(bench, motor, way)
+    for first, second in ((motor, other), (other, motor)):
+        first.disable()
+        party = bench.runtime.spawn("second", second.enable)
+        first.reset_fault()
+        first.enable()
+        expect(party.join(_PATIENCE_S), f"enable() of {second.name} does not end")
+        if party.error is not None:
+            raise Violated(f"enable() of both at once: {second.name} got {party.error!r}")
+        for user in (first, second):
+            expect_state(user, MotorState.ENABLED, "enabled by two users at once")
+        before = position_of(bench, motor)
+        move(bench, second, way)
+        expect_moved(bench, motor, before, way, "enabled by two users at once")
 
 
 @clause(

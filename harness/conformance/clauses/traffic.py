@@ -521,8 +521,14 @@ def _expect_firing() -> None:
 
 def _expect_straddling() -> None:
     """Check the bound for frames that a signal may separate."""
-    for period_s, wanted_s in ((0.01, 0.0), (0.0005, 0.0005 + _FRAME_S)):
-        offer = replace(_OFFER, burst=_FRAME, period_s=period_s)
+    late = PeriodicMessage(_FRAME.can_id, 8, 0.0005, 0.0001)  # the signal, at times late
+    late_firing = Firing("can0", CanTraffic(500_000, (late,)), (_FRAME,))
+    for period_s, firing, wanted_s in (
+        (0.01, _OFFER.firing, 0.0),
+        (0.0005, _OFFER.firing, 0.0005 + _FRAME_S),
+        (0.0005, late_firing, 0.0005 + _FRAME_S + 0.0001),
+    ):
+        offer = replace(_OFFER, burst=_FRAME, period_s=period_s, firing=firing)
         told_s = command_bound((Member("left", offer), Member("right", offer))).value_s
         expect(
             told_s is not None and abs(told_s - wanted_s) < _NEAR_S,

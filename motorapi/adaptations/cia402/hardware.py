@@ -23,7 +23,13 @@ from motorhil.motorapi.adaptations.cia402.controlword import DriveControl
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode, guarding
-from motorhil.motorapi.adaptations.cia402.objects import Mode, PdsState
+from motorhil.motorapi.adaptations.cia402.objects import (
+    ENABLE_OPERATION,
+    HALT,
+    QUICK_STOP,
+    Mode,
+    PdsState,
+)
 from motorhil.motorapi.adaptations.cia402.parameters import ParameterStore
 from motorhil.motorapi.errors import LinkError, StateError, UsageError
 from motorhil.motorapi.ownership.physical_motor import (
@@ -337,11 +343,13 @@ class Cia402HwMotor:
         """Halt the drive as 605Dh defines, without waiting; it then holds its position."""
         self.connect()
         self.control.send_halt()
+        self.end_stream(ENABLE_OPERATION | HALT)
 
     def quick_stop(self) -> None:
         """Stop the drive as 605Ah defines, without waiting."""
         self.connect()
         self.control.send_quick_stop()
+        self.end_stream(QUICK_STOP)
 
     def set_mode(self, mode: Mode) -> None:
         """Set the mode of operation; see `DriveControl.set_mode`."""

@@ -132,7 +132,7 @@ class VescOptions(Options):
         plausible=(0.1, 200.0),
     )
     status_timeout_ms: float = number(
-        *(200.0, 0, 1e6, "ms", "Time without STATUS after which the drive is lost."),
+        *(200.0, 0, 1e6, "ms", "Time without one of its STATUS, 4 or 5 until it is lost."),
         above=True,
         plausible=(10.0, 5000.0),
     )
@@ -198,7 +198,10 @@ class VescHwMotor:
         self.motions: Final = StreamedMotion(
             self.drive, own.stream_period_ms / 1e3, own.lead_ms / 1e3
         )
-        self._life = self.drive.expect("STATUS", self.options.status_timeout_ms / 1e3, self._lose)
+        self._life, self._angles, self._counts = (
+            self.drive.expect(name, own.status_timeout_ms / 1e3, self._lose)
+            for name in ("STATUS", "STATUS_4", "STATUS_5")
+        )
         self._answers = self.drive.expect("answer to GET_VALUES_SELECTIVE", _SILENCE_S)
         handlers: dict[int, Callable[[bytes, int], None]] = {
             _STATUS << 8 | node_id: self._on_status,
@@ -373,10 +376,14 @@ class VescHwMotor:
         if len(data) == _ANGLE.size:
             self._angle = _ANGLE.unpack(data)[0] / 18_000.0 * self.options.position_turns
             self._angle_ns = time_ns
+            self._angles.came(time_ns)
 
     def _on_tachometer(self, data: bytes, time_ns: int) -> None:
         angle, span = self._angle, self.options.position_turns
-        if len(data) != _TACHOMETER.size or angle is None:
+        if len(data) != _TACHOMETER.size:
+            return
+        self._counts.came(time_ns)
+        if angle is None:
             return
         turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
         offset = angle + self._velocity * (time_ns - self._angle_ns) / 1e9 - turns

@@ -11,6 +11,8 @@ from motorhil.motorapi.adaptations.cia402 import hardware
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
+from motorhil.motorapi.adaptations.ideal import hardware as ideal_hardware
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.api.polled_motor import PolledMotor
@@ -179,4 +181,26 @@ def streams_wait_for_a_beginning():
 def closed_and_still_at_work():
     """close() returns without closing anything."""
     with replaced(IdealMotor, "close", lambda _: lambda motor: None):
+        yield
+
+
+@mutant("ideal", "CLOSE-02")
+def closed_for_ever():
+    """A closed motor keeps its place, so that it cannot be opened again."""
+    with patch.object(ideal_hardware, "release_physical_motor", lambda *_: None):
+        yield
+
+
+@mutant("software", "HOME-04")
+def zero_is_lost_with_the_cable():
+    """Whenever the node is found again, its counter is taken for new; the reference stays."""
+
+    def wrong(take_place):
+        def taken(self, facts):
+            self._boot = -1
+            take_place(self, facts)
+
+        return taken
+
+    with replaced(AmplifierHwMotor, "_take_place", wrong):
         yield

@@ -16,6 +16,7 @@ from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardwa
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
+from motorhil.motorapi.planning import functions
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
 from tests.conformance.mutants import motions_changed, mutant, replaced
 
@@ -479,4 +480,18 @@ def far_enough():
         return replace(motion, target=max(-5.0, min(motion.target, 5.0)))
 
     with motions_changed(IdealMotor, cut):
+        yield
+
+
+@mutant("ideal", "TRAJ-14")
+def velocities_do_not_bend():
+    """The limit of the second derivative of a velocity is accepted and not kept."""
+
+    def wrong(bend_of):
+        def bend(model, variable, trajectory):
+            return None if variable is VELOCITY else bend_of(model, variable, trajectory)
+
+        return bend
+
+    with replaced(functions, "bend_of", wrong):
         yield

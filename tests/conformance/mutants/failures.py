@@ -2,6 +2,7 @@
 
 from unittest.mock import patch
 
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.modbus.client import ModbusLine
@@ -203,4 +204,12 @@ def reads_are_repeated_for_long():
 def the_next_answer_is_the_answer():
     """The next request is sent right after a timeout; the next answer of that length is its own."""
     with patch.object(ModbusLine, "QUARANTINE_NS", 0):
+        yield
+
+
+@mutant("cia402", "FAULT-07")
+def a_fault_without_message_has_any_code():
+    """A fault of which no EMCY came gets a generic code, and the drive is not asked."""
+    code = property(lambda node: 0x1000 if node.error is None else node.error.code)
+    with patch.object(CanopenNode, "error_code", code):
         yield

@@ -15,6 +15,7 @@ from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import Setpoint
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
+from motorhil.motorapi.logical_motor import LogicalMotor
 from tests.conformance.mutants import mutant, replaced
 
 PREPARATION = (0x06, 0x07, 0x0F)  # CiA 402-2: to operation enabled
@@ -281,4 +282,11 @@ def a_status_that_stays_away_is_awaited():
 
     told = property(lambda node: node.status_is_cyclic)
     with patch.object(DriveNode, "is_told", told), replaced(Cia402Motor, "_refresh", wrong):
+        yield
+
+
+@mutant("software", "LOST-12")
+def unnoticed_failure_is_forgotten():
+    """A motion that failed while no caller waited goes on after the drive was set up again."""
+    with replaced(LogicalMotor, "_bury_failed_run", lambda _: lambda self: None):
         yield

@@ -354,3 +354,14 @@ def a_wait_without_an_end():
 
     with replaced(AcquirePolicy, "until", wrong):
         yield
+
+
+@mutant("cia402", "SHARE-15")
+def operations_do_not_wait():
+    """An operation is refused while another one is active, however short that is."""
+
+    def refuse(queue, _runtime, _ticket, _timeout_s):
+        raise queue._queue[0].busy(queue.label)
+
+    with replaced(FifoQueue, "_wait", lambda _: refuse):
+        yield

@@ -4,8 +4,9 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 `dead_man_s` and `brake_s`.
 """
 
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import partial
+from itertools import product
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
@@ -23,6 +24,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     finish,
     is_over_soon,
     long_move,
+    midway_s,
     modes_of,
     move,
     move_through,
@@ -38,6 +40,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DeadlineExceeded,
     Motor,
+    MotorError,
     MotorState,
 )
 
@@ -301,9 +304,17 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         bench.afresh()
         motor, way = bench.motor, 0.25 * long_move(bench)
         expected_s, what = shortest_s(motor, way), f"all frames {identifier:03X}h lost"
+        told = motor.position()
         before = begin_move(bench, motor, way, 0.3 * expected_s)
         with bench.lose_identifier(identifier) as count:
             error = failure_of(partial(finish, bench, motor, expected_s))
+            rest_for(bench, until_rest_s(bench, motor))
+            with suppress(MotorError):  # else it is fresh
+                made, moved = motor.position() - told, bench.true_position(motor) - before
+                expect(
+                    abs(made - moved) <= 2.0 * bench.facts.window,
+                    f"{what}: moved by {moved:g}, position() by {made:g}; expected an error",
+                )
             lost += count()
         is_open = isinstance(error, DeadlineExceeded) and error.awaited.startswith("end of motion")
         expect(
@@ -316,6 +327,36 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
         expect_usable(bench, motor, what)
     reached(lost > 0, "the loss of a frame")
+
+
+@clause(
+    "LOST-12",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench=_CABLE,
+    source="Motor.wait_until_done: of the last motion, whatever was commanded since; LinkError",
+)
+def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
+    """If a motion fails while no caller waits, a wait after the next commands still says so."""
+    troubles = ["cut off"] + ["restarted"] * (Ability.RESTART in bench.abilities)
+    for trouble, is_disabled in product(troubles, (False, True)):
+        bench.afresh()
+        motor, way = bench.motor, 2.0 * long_move(bench)
+        before = begin_move(bench, motor, way, midway_s(motor, way, 0.3))
+        if trouble == "restarted":
+            bench.restart(motor)
+        with bench.cut(motor) if trouble == "cut off" else nullcontext():
+            rest_for(bench, until_rest_s(bench, motor))
+        rest_for(bench, _BACK_S)
+        if is_disabled:
+            motor.disable()
+        if motor.fault() is not None:
+            motor.reset_fault()
+        motor.enable()
+        error = failure_of(partial(finish, bench, motor, shortest_s(motor, way)))
+        if error is None:
+            what = f"its drive was {trouble} in a motion, which nobody awaited; later, done"
+            expect_moved(bench, motor, before, way, what)
 
 
 @clause(

@@ -250,6 +250,45 @@ def fault_leaves_other_motors_usable(bench: RigProtocol) -> None:
 
 
 @clause(
+    "FAULT-07",
+    Level.L5,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT, Ability.ONE_KIND, Ability.AFRESH},
+    source="CiA 301, EMCY is not confirmed; CiA 402-2, 603Fh; Motor.fault: what the drive says",
+)
+def fault_without_its_message_is_reported(bench: RigProtocol) -> None:
+    """If the message that a fault sends is lost, the fault is reported all the same, or no code."""
+    bench.motor.enable()
+    with bench.identifiers() as usual:
+        rest_for(bench, _BACK_S)
+    with bench.identifiers() as seen:
+        bench.fail(bench.motor)
+        rest_for(bench, _NOTICED_S)
+    messages = sorted(set(seen) - set(usual))
+    if not messages:
+        raise NotApplicable("a fault sends no message of its own")
+    for identifier in messages:
+        bench.afresh()
+        motor, what = bench.motor, f"a fault without its message {identifier:03X}h"
+        motor.enable()
+        with bench.lose_identifier(identifier) as count:
+            code = bench.fail(motor)
+            rest_for(bench, _NOTICED_S)
+            reached(count() > 0, "the loss of that message")
+        if motor.state() is MotorState.OFFLINE:
+            continue  # it says nothing else
+        fault = motor.fault()
+        expect(fault is not None and fault.code == code, f"{what}, {code:04X}h: {fault}")
+        expect_state(motor, MotorState.FAULT, what)
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(TrapezoidalTrajectory(0.1 * long_move(bench)))
+        for operation in (motor.start, motor.enable):
+            error = _raised(f"{operation.__name__}() after {what}", operation)
+            expect(error.code in (code, 0), f"{what}, {code:04X}h: {error}; expected it, or 0")
+        expect_usable(bench, motor, what)
+
+
+@clause(
     "HEAR-01",
     Level.L2,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
@@ -508,21 +547,50 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
 )
 def restarted_drive_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
     """After a restart of its drive, a motor is referenced only if its position is still right."""
+
+    def restart() -> None:
+        bench.restart(bench.motor)
+        rest_for(bench, until_rest_s(bench, bench.motor))
+
+    _expect_true_reference(bench, "a restart", restart)
+
+
+@clause(
+    "HOME-04",
+    Level.L5,
+    needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.CUT},
+    source="Motor.is_referenced: position 0 is that of the model; Motor.home",
+)
+def lost_motor_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
+    """After a loss of its drive, a motor is referenced only if its position is still right."""
+
+    def lose() -> None:
+        with bench.cut(bench.motor):
+            rest_for(bench, until_rest_s(bench, bench.motor))
+            bench.motor.state()  # a host that only asks when asked to notices the loss now
+
+    _expect_true_reference(bench, "a loss", lose)
+
+
+def _expect_true_reference(bench: RigProtocol, trouble: str, suffer: Callable[[], object]) -> None:
+    """Check that a homed motor is referenced after this trouble only if its position is right."""
     motor, way = bench.motor, 0.3 * long_move(bench)
     move(bench, motor, way)
     if failure_of(partial(motor.home, _HERE)) is not None:
         raise NotApplicable("homing on the spot is refused")
     zero = bench.true_position(motor)
     move(bench, motor, way)
-    bench.restart(motor)
-    rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
+    suffer()
+    rest_for(bench, _BACK_S)
     is_referenced, reported = motor.is_referenced(), motor.position()
     true, unit = bench.true_position(motor) - zero, motor.model.unit
     expect(
         not is_referenced or abs(reported - true) <= 2.0 * bench.facts.window,
-        f"after a restart: referenced, but position() is {reported:g} {unit} at {true:g} {unit}"
+        f"after {trouble}: referenced, but position() is {reported:g} {unit} at {true:g} {unit}"
         " from home; expected this position, or not referenced",
     )
+    motor.reset_fault()
     motor.home(_HERE)
-    expect(motor.is_referenced(), "homed again after a restart: not referenced")
-    expect_at(bench, motor, 0.0, "homed again after a restart")
+    expect(motor.is_referenced(), f"homed again after {trouble}: not referenced")
+    expect_at(bench, motor, 0.0, f"homed again after {trouble}")

@@ -1,7 +1,9 @@
 """L1: profiles between states, under limits of their own: of slope, of jerk, of position."""
 
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from math import isclose, sqrt
 from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -9,17 +11,20 @@ from motorhil.harness.conformance.clause import Level, NotApplicable, clause, ex
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
-    expect_raises,
     expect_rest,
     expect_speed,
     expect_tracks,
+    failure_of,
     finish,
     follow,
     half_move,
+    least_s,
     position_of,
     rest_for,
     sample_positions,
     shortest_s,
+    trapezoid,
+    worst_deviation,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
@@ -31,6 +36,7 @@ from motorhil.motorapi import (
 )
 
 _AFTER_S: Final = 0.2
+_STEP_S: Final = 0.005
 
 
 @clause(
@@ -72,6 +78,51 @@ def velocity_ramps_keep_limits_of_each_direction(bench: RigProtocol) -> None:
         speed += change
     motor.stop()
     finish(bench, motor)
+
+
+@clause(
+    "TRAJ-14",
+    Level.L1,
+    needs={Capability.VELOCITY_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1: the same representation bounds one more derivative, a smoother motion",
+)
+def velocity_ramp_bends_as_allowed(bench: RigProtocol) -> None:
+    """A limit of the second derivative of a velocity is refused, or used: no faster, no slower."""
+    motor, model = bench.motor, bench.motor.model
+    rate = 0.4 * min(model.acceleration_max, model.deceleration)
+    bend, top = 4.0 * rate, 0.4 * model.velocity_max
+    motor.enable()
+    for change in (top, -top):
+        duration_s = least_s(change, rate, bend, bend)
+        ramp = TrapezoidalTrajectory(change, limits=DerivativeLimits(first=rate, second=bend))
+        before = position_of(bench, motor)
+        try:
+            follow(motor, ramp, ControlVariable.VELOCITY)
+        except UnsupportedError as error:
+            raise NotApplicable(f"it bounds no second derivative: {error}") from None
+        samples = sample_positions(bench, motor, duration_s + _AFTER_S)
+        finish(bench, motor)
+        expect_speed(bench, motor, change, 0.1, f"after {ramp!r}")
+        motor.stop()
+        finish(bench, motor)
+        way = _integral(trapezoid(change, duration_s, bend, bend))
+        shown = [(at_s, position - before) for at_s, position in samples]
+        worst = worst_deviation(bench, shown, way)
+        bound = bench.facts.following + 0.02 * abs(change) * duration_s
+        expect(worst <= bound, f"{ramp!r}: {worst:.5g} {model.unit} off; limit {bound:.5g}")
+
+
+def _integral(value: Callable[[float], float]) -> Callable[[float], float]:
+    """Return the integral over time from 0, by the trapezoidal rule."""
+
+    def way(until_s: float) -> float:
+        steps = max(1, round(until_s / _STEP_S))
+        width_s = max(0.0, until_s) / steps
+        inner = sum(value(number * width_s) for number in range(1, steps))
+        return width_s * (inner + 0.5 * (value(0.0) + value(until_s)))
+
+    return way
 
 
 @clause(
@@ -150,7 +201,17 @@ def final_velocity_brakes_at_limit(bench: RigProtocol) -> None:
             side * way, limits=limits, final_derivatives=(side * velocity,)
         )
         try:
-            expect_raises(LimitError, partial(follow, motor, too_near), "no room to brake")
+            error = failure_of(partial(follow, motor, too_near))
+            if isinstance(error, UnsupportedError):
+                raise error
+            fastest = velocity / sqrt(2.0)  # that brakes in half of the distance
+            expect(
+                isinstance(error, LimitError)
+                and error.high is not None
+                and isclose(error.high, fastest, rel_tol=0.01),
+                f"no room to brake from {velocity:g} {model.unit}/s: {error!r}; expected a refusal"
+                f" that allows {fastest:g} {model.unit}/s",
+            )
             follow(motor, onward)
         except UnsupportedError as error:
             raise NotApplicable(f"it ends at rest only: {error}") from None

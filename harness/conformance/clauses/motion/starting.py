@@ -444,6 +444,7 @@ def progress_grows_to_one_then_ends(bench: RigProtocol) -> None:
 
 def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
     expected_s = shortest_s(motor, way)
+    start = motor.position()
     follow(motor, TrapezoidalTrajectory(way))
     begun_ns = bench.runtime.now_ns()
     seen = []
@@ -472,6 +473,13 @@ def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
         expect(
             left_s is None or abs(left_s - wanted_s) <= tolerance_s,
             f"remaining time: {left_s} s reported; expected {wanted_s:.3f} s",
+        )
+        if one.position is None or one.fraction is None:
+            continue
+        made = min(1.0, max(0.0, (one.position - start) / way))
+        expect(
+            abs(one.fraction - made) <= 2.0 * bench.facts.window / abs(way),
+            f"{one!r}: {one.fraction:.1%} reported; expected {made:.1%} of {way:g}",
         )
 
 

@@ -19,6 +19,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     fastest,
     finish,
     follow,
+    least_s,
     long_move,
     midway_s,
     move,
@@ -30,11 +31,13 @@ from motorhil.harness.conformance.clauses.helpers import (
     sample_positions,
     shortest_s,
     smooth_move,
+    speed,
     turn,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
+    DerivativeLimits,
     MotionInterrupted,
     Motor,
     MotorState,
@@ -49,6 +52,8 @@ _COAST_S: Final = 30.0
 _JITTER_S: Final = 0.002
 _SPARE: Final = 0.15  # of a move
 _AFTER_S: Final = 0.3
+_LOOK_S: Final = 0.02
+_GENTLE: Final = 0.2  # of the limits
 
 
 def _stop_halfway(
@@ -165,6 +170,34 @@ def stop_uses_deceleration_of_motion(bench: RigProtocol) -> None:
             f"stopped from {velocity:g} {model.unit}/s in {made:.4g} {model.unit};"
             f" expected {wanted:.4g} {model.unit} at {model.deceleration:g} {model.unit}/s²",
         )
+    _expect_own_ramp(bench, way)
+
+
+def _expect_own_ramp(bench: RigProtocol, way: float) -> None:
+    """Check that a stop of a stream does not brake as gently as the motion before it."""
+    motor, model = bench.motor, bench.motor.model
+    gentle = _GENTLE * min(model.acceleration_max, model.deceleration)
+    limits = DerivativeLimits(first=_GENTLE * model.velocity_max, second=gentle)
+    back = -0.5 * way
+    follow(motor, TrapezoidalTrajectory(back, limits=limits))
+    finish(bench, motor, least_s(back, _GENTLE * model.velocity_max, gentle, gentle))
+    try:
+        stream = smooth_move(motor, 0.5 * way)
+        follow(motor, stream)
+    except UnsupportedError:
+        return
+    rest_for(bench, 0.5 * stream.function.domain[1])
+    velocity, stopped_at = speed(bench, motor, _LOOK_S), bench.true_position(motor)
+    motor.stop()
+    finish(bench, motor, velocity / gentle)
+    made = bench.true_position(motor) - stopped_at
+    late = velocity * (bench.facts.latency_s[1] + _LOOK_S)
+    most = 1.2 * braking_distance(motor, velocity) + late
+    expect(
+        made <= most,
+        f"stopped from {velocity:g} {model.unit}/s in {made:.4g} {model.unit}, after a motion that"
+        f" brakes at {gentle:g} {model.unit}/s²; expected at most {most:.4g} {model.unit}",
+    )
 
 
 @clause(

@@ -14,6 +14,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_speed,
     expect_tracks,
+    failure_of,
     finish,
     follow,
     least_s,
@@ -41,6 +42,7 @@ from motorhil.motorapi import (
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
+    UsageError,
 )
 
 _AFTER_S = 0.2
@@ -414,10 +416,12 @@ def led_motor_follows_its_leader(bench: RigProtocol) -> None:
     from motorhil.motorapi.functions import Polynomial
 
     led, leader = bench.motors[:2]
-    way, origin = long_move(bench), leader.position()
-    gear = Polynomial((0.0, _GEAR)).restricted(origin, origin + way)
+    way = long_move(bench)
     led.set_control_mode(ControlMode.TRAJECTORY)
     try:
+        _expect_known_leader(bench, led, leader)
+        origin = leader.position()
+        gear = Polynomial((0.0, _GEAR)).restricted(origin, origin + way)
         led.set_trajectory(ComplexTrajectory(gear, relative=True), MotorPosition(leader))
         before = position_of(bench, led)
         led.start()
@@ -433,6 +437,24 @@ def led_motor_follows_its_leader(bench: RigProtocol) -> None:
     _lead(bench, leader, way)  # to the end of the range, and beyond
     finish(bench, led)
     expect_moved(bench, led, before, _GEAR * way, "its leader left the range")
+
+
+def _expect_known_leader(bench: RigProtocol, led: Motor, leader: Motor) -> None:
+    """Check that a leader is refused until its position is known."""
+    from motorhil.motorapi.functions import Polynomial
+
+    gear = Polynomial((0.0, _GEAR)).restricted(-1.0, 1.0)
+    led.set_trajectory(ComplexTrajectory(gear, relative=True), MotorPosition(leader))
+    error, latest = failure_of(led.start), leader.latest()
+    if isinstance(error, UnsupportedError):
+        raise error
+    is_known = latest is not None and latest.position is not None
+    expect(
+        is_known if error is None else isinstance(error, UsageError | LinkError),
+        f"a leader whose position is known: {is_known}; start() ended with {error!r}",
+    )
+    led.stop()
+    finish(bench, led)
 
 
 def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:

@@ -78,6 +78,19 @@ def home_is_here(bench: DriveBench) -> None:
         _expect_offset(bench, offset, what)
 
 
+def home_beside_zero(bench: DriveBench, offset: int) -> None:
+    """Make the current position home, this far from zero; do nothing if the drive cannot."""
+    drive = bench.drive
+    has = all(drive.find(one) is not None for one in (od.HOME_OFFSET, od.SUPPORTED_MODES))
+    if not has or not drive.has_mode(Mode.HM) or bench.facts.home_offset_is_opposite:
+        return
+    if not any(_takes(drive, one) for one in _CURRENT_POSITION):
+        return
+    if drive.offer_value(od.HOME_OFFSET, offset) == 0:
+        drive.enable(Mode.HM)
+        _home(drive)
+
+
 def _expect_offset(bench: DriveBench, offset: int, what: str) -> None:
     """Expect 6064h of home to be -607Ch, or +607Ch if the rig declares that."""
     drive = bench.drive

@@ -6,7 +6,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.clauses.homing import scale
+from motorhil.harness.conformance.drives.clauses.homing import home_beside_zero, scale
 from motorhil.harness.conformance.drives.clauses.process_data import (
     configure,
     operational,
@@ -130,7 +130,9 @@ def software_limits_in_velocity_modes(bench: DriveBench) -> None:
     drive.require_mode(Mode.PV)
     drive.require(od.LIMIT_MIN, od.LIMIT_MAX)
     pace = drive.pace()
-    start, way = drive.read(od.POSITION), pace.distance(0.2)
+    way = pace.distance(0.2)
+    home_beside_zero(bench, 4 * way)  # 607Dh counts from home
+    start = drive.read(od.POSITION)
     offset = drive.find(od.HOME_OFFSET) or 0
     drive.set(od.LIMIT_MIN, start - way + offset)
     drive.set(od.LIMIT_MAX, start + way + offset)

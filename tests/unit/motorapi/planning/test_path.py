@@ -1,6 +1,7 @@
 """Deviations of motors from their line: by hand, and measured against the truth."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -16,7 +17,8 @@ from motorhil.motorapi import (
     Synchronization,
     TrapezoidalTrajectory,
 )
-from motorhil.motorapi.planning.path import Line
+from motorhil.motorapi.execution import Started
+from motorhil.motorapi.planning.path import Line, predicted
 from tests.support.motors.plain import PlainBus, PlainHwMotor, PlainMotor, fault_now
 from tests.unit.motorapi.test_fault_reactions import KINDS, NAMES, WAYS, Truth
 from tests.unit.motorapi.test_group import group_of
@@ -51,6 +53,20 @@ def test_point_on_the_line_has_no_deviation(parts, along):
         dev * way / speed / speed for dev, (way, speed, _) in zip(found, parts, strict=True)
     )
     assert abs(right) <= rounding * max(abs(way) / speed / speed for way, speed, _ in parts)
+
+
+def started_by(acceleration):
+    """Return a motor that moves by 2 at the velocity 1 with these ramps."""
+    motion = SimpleNamespace(
+        start=0.0, distance=2.0, velocity=1.0, acceleration=acceleration, deceleration=acceleration
+    )
+    return Started(SimpleNamespace(model=SimpleNamespace(velocity_max=1.0)), motion, motion)
+
+
+def test_predicted_deviation_equals_the_hand_result():
+    # Ramps of 1 s and of 0.5 s: from 1 s to 2 s, on both plateaus, the first is 0.25 behind. The
+    # nearest point of the line is in the middle of both.
+    assert predicted([started_by(1.0), started_by(2.0)]) == pytest.approx([0.125, 0.125])
 
 
 def test_only_motors_in_phase_have_a_path(pair):
