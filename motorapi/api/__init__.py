@@ -11,6 +11,14 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.motorapi.api.can_drive import CanDrive, SignOfLife, checked_node
+from motorhil.motorapi.api.can_hardware import CanHardware, Estimate, StreamedCanHardware
+from motorhil.motorapi.api.can_motor import (
+    CanBuilder,
+    CanMotor,
+    motor_turns,
+    output_sign,
+    require_here,
+)
 from motorhil.motorapi.api.line_exchanges import (
     ByteLine,
     Codec,
@@ -58,7 +66,7 @@ from motorhil.motorapi.trajectory import (
     TrapezoidalTrajectory,
     asks_for_smoothness,
 )
-from motorhil.settings import REQUIRED, SettingError, number, text, whole, word
+from motorhil.settings import REQUIRED, SettingError, amount, number, positive, text, whole, word
 
 __all__ = [
     "BOOT_S",
@@ -66,13 +74,17 @@ __all__ = [
     "VERSION",
     "BoundFence",
     "ByteLine",
+    "CanBuilder",
     "CanDrive",
+    "CanHardware",
+    "CanMotor",
     "Codec",
     "ComplexTrajectory",
     "ControlMode",
     "ControlVariable",
     "DeadlineExceeded",
     "DeviceFault",
+    "Estimate",
     "Exchange",
     "ExchangeLine",
     "Fault",
@@ -107,6 +119,7 @@ __all__ = [
     "Shared",
     "SignOfLife",
     "StateError",
+    "StreamedCanHardware",
     "StreamedMotion",
     "StreamedMotor",
     "SyncLevel",
@@ -117,12 +130,17 @@ __all__ = [
     "UnsupportedError",
     "UsageError",
     "adaptation",
+    "amount",
     "asks_for_smoothness",
     "can_stream",
     "checked_node",
     "demand_of",
+    "motor_turns",
     "number",
+    "output_sign",
+    "positive",
     "read_settings",
+    "require_here",
     "require_time",
     "text",
     "wait_until",
