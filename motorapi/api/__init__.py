@@ -19,6 +19,7 @@ from motorhil.motorapi.api.can_motor import (
     output_sign,
     require_here,
 )
+from motorhil.motorapi.api.line_builder import LineBuilder
 from motorhil.motorapi.api.line_exchanges import (
     ByteLine,
     Codec,
@@ -89,6 +90,7 @@ __all__ = [
     "ExchangeLine",
     "Fault",
     "LimitError",
+    "LineBuilder",
     "LineProtocolViolation",
     "LineUnit",
     "LinkError",
