@@ -34,7 +34,7 @@ from motorhil.emulators.firmware import flags
 from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.modbus.rtu import with_crc
-from motorhil.emulators.motor_drive import MotorDrive
+from motorhil.emulators.motor_drive import MotorDrive, drive_builder
 from motorhil.emulators.plant.dc_motor import RANGES
 from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
@@ -43,9 +43,11 @@ from motorhil.settings import (
     Number,
     SettingError,
     TablesByKey,
+    amount,
     flag,
     nearest,
     number,
+    positive,
     read,
     setting,
     table,
@@ -75,10 +77,12 @@ __all__ = [
     "Number",
     "SettingError",
     "TablesByKey",
+    "amount",
     "axis_of",
     "can_id_of",
     "controller",
     "data_of",
+    "drive_builder",
     "flag",
     "flags",
     "nearest",
@@ -88,6 +92,7 @@ __all__ = [
     "pack",
     "pack_fd",
     "pack_remote",
+    "positive",
     "read",
     "setting",
     "table",
