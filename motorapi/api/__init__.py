@@ -18,6 +18,7 @@ from motorhil.motorapi.api.can_motor import (
     motor_turns,
     output_sign,
     require_here,
+    whole_steps,
 )
 from motorhil.motorapi.api.line_builder import LineBuilder
 from motorhil.motorapi.api.line_exchanges import (
@@ -147,5 +148,6 @@ __all__ = [
     "text",
     "wait_until",
     "whole",
+    "whole_steps",
     "word",
 ]

@@ -1,7 +1,8 @@
 """The logical motor of a drive on a CAN bus, as far as all kinds agree, and its builder."""
 
 from collections.abc import Callable, Mapping
-from math import tau
+from dataclasses import replace
+from math import floor, tau
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar, final
 
 from motorhil.motorapi.api.can_drive import CanDrive
@@ -9,6 +10,7 @@ from motorhil.motorapi.api.can_hardware import CanHardware
 from motorhil.motorapi.api.registration import OptionsT, Shared, read_settings
 from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 _HERE: Final = (None, 35, 37)
+_ROUNDING: Final = 1e-12  # so that rounding twice is safe
 
 
 class HasDrive(Protocol):
@@ -127,6 +130,22 @@ def require_here(motor: str, method: int | None) -> None:
         raise UnsupportedError(motor=motor, feature=feature, supported="35, 37")
 
 
+def whole_steps(motion: Motion, steps: float) -> Motion:
+    """Return the motion in whole steps of a drive, of so many per unit, and never faster."""
+    size = abs(steps)
+
+    def down(value: float) -> float:
+        return max(1, floor(value * size * (1.0 + _ROUNDING))) / size
+
+    return replace(
+        motion,
+        target=round(motion.target * steps) / steps,
+        velocity=down(motion.velocity),
+        acceleration=down(motion.acceleration),
+        deceleration=down(motion.deceleration),
+    )
+
+
 class NodeTable(Protocol):
     """The table of a motor in a rig: the options of its hardware, and these keys."""
 
@@ -165,6 +184,7 @@ class CanBuilder(Generic[MadeT]):
         motor: Callable[..., Motor],
         noun: str = "drive",
     ) -> None:
+        self.__module__ = table.__module__  # a rig of `adaptation` is beside it
         self._table = table
         self._hardware = hardware
         self._motor = motor

@@ -37,6 +37,7 @@ class LineBuilder(Generic[HardwareT]):
         motor: "type[PolledMotor[HardwareT]]",
         noun: str = "drive",
     ) -> None:
+        self.__module__ = table.__module__  # a rig of `adaptation` is beside it
         self._table = table
         self._hardware = hardware
         self._motor = motor
