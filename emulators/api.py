@@ -1,8 +1,9 @@
 """The controller API: all that a third party's emulated drive may import, and enough.
 
-An emulated drive implements `Controller`, and is built by a function that `controller` marks. The
-motor on its shaft is motorhil's: `axis_of` makes plant, servo and profile generator from the keys
-that all drives share (`MotorTable`).
+An emulated drive implements `Controller`, and is built by a function that `controller` marks;
+`MotorDrive` and `drive_builder` have all but protocol and states. The motor on its shaft is
+motorhil's: `axis_of` makes plant, servo and profile generator from the keys that all drives share
+(`MotorTable`).
 
 `VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
 other modules of motorhil may change at any time.

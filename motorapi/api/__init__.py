@@ -1,10 +1,10 @@
 """The adaptation API: all that a third party's adaptation may import, and enough.
 
 An adaptation derives from `Motor` (its hooks: `motorhil.motorapi.hooks`), contains a hardware
-object, and is built by a function that `adaptation` marks. On CAN, `CanDrive` does for the hardware
-object what every drive repeats; `SetpointStream` serves drives without a profile generator. On a
-line, `ExchangeLine` with a `Codec` asks and answers, `LineUnit` has the ownership of one drive, and
-`PolledMotor` follows a drive that makes its profiles and sends nothing by itself.
+object, and is built by a function that `adaptation` marks. On CAN, `CanHardware`, `CanMotor` and
+`CanBuilder` have all but protocol and units; `StreamedMotor` serves drives without a profile
+generator. On a line, `ExchangeLine` with a `Codec` asks and answers, `LineUnit` has the ownership
+of one drive, and `PolledMotor` follows a drive that makes its profiles and sends nothing by itself.
 
 `VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
 other modules of motorhil may change at any time.

@@ -33,9 +33,6 @@ class HasDrive(Protocol):
     def connect(self) -> None:
         """Wait until the drive is heard; free if it is."""
 
-    def forget(self) -> None:
-        """Forget what the drive was told."""
-
 
 HardwareT = TypeVar("HardwareT", bound=HasDrive)
 
@@ -93,7 +90,7 @@ class CanMotor(Motor, Generic[HardwareT]):
         return self.hardware
 
     def _close_low_level(self) -> None:
-        self.hardware.forget()
+        self.hardware.drive.doubt()
 
 
 def motor_turns(model: "MotorModel") -> float:

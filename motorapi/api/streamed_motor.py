@@ -148,3 +148,6 @@ class StreamedMotor(CanMotor[HardwareT]):
     def _open_low_level(self) -> HardwareT:
         self.hardware.motions.forget()
         return super()._open_low_level()
+
+    def _close_low_level(self) -> None:
+        self.hardware.forget()
