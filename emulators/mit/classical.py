@@ -22,7 +22,7 @@ from struct import Struct
 from typing import Final, final
 
 from motorhil.emulators.api import ControllerContext, drive_builder
-from motorhil.emulators.mit.drive import MitDrive, of_code, to_code
+from motorhil.emulators.mit.drive import MitDrive, to_code
 from motorhil.emulators.mit.settings import DAMIAO, MINI_CHEETAH, MODELS, MitTable, Ranges
 
 SPECIAL: Final = b"\xff" * 7
@@ -65,12 +65,8 @@ class ClassicalDrive(MitDrive):
         if data[:7] == SPECIAL and data[7] in range(CLEAR, ZERO + 1):
             self._special(data[7])
             return
-        bits, ranges = int.from_bytes(data, "big"), self.ranges
-        p = of_code(bits >> 48, ranges.p, 16)
-        v = of_code(bits >> 36 & 0xFFF, ranges.v, 12)
-        kp = of_code(bits >> 24 & 0xFFF, ranges.kp, 12, 0.0)
-        kd = of_code(bits >> 12 & 0xFFF, ranges.kd, 12, 0.0)
-        self.order((p, v, kp, kd, of_code(bits & 0xFFF, ranges.t, 12)))
+        bits = int.from_bytes(data, "big")
+        self.order_codes((bits >> 48, *(bits >> at & 0xFFF for at in (36, 24, 12, 0))), 12)
 
     def timed_out(self) -> None:
         """Make the motor limp; Damiao's drives have a fault."""
@@ -92,13 +88,8 @@ class ClassicalDrive(MitDrive):
             self.clear()
 
     def _answer(self) -> None:
-        p, v, t = self.measured()
-        ranges = self.ranges
-        codes = [to_code(p, ranges.p, 16), to_code(v, ranges.v, 12), to_code(t, ranges.t, 12)]
-        if self.firmware is not MINI_CHEETAH:
-            limits = zip(codes, (0xFFFF, 0xFFF, 0xFFF), strict=True)
-            codes = [min(max(code, 0), limit) for code, limit in limits]
-        p_code, v_code, t_code = codes
+        saturates = self.firmware is not MINI_CHEETAH
+        p_code, v_code, t_code = self.measured_codes(12, saturates=saturates)
         stage_c, winding_c = (min(max(int(c), 0), 0xFF) for c in self.temperatures_c())
         number, tail = self.node_id, (stage_c, self.fault)
         if self.firmware is DAMIAO:

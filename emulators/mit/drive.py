@@ -212,6 +212,23 @@ class MitDrive(MotorDrive):
             axis.torque_n_m(),
         )
 
+    def measured_codes(self, bits: int, *, saturates: bool = True) -> list[int]:
+        """Return the codes of what is measured: position with 16 bits, the others with so many."""
+        r, sizes = self.ranges, (16, bits, bits)
+        of_each = zip(self.measured(), (r.p, r.v, r.t), sizes, strict=True)
+        codes = [to_code(*one) for one in of_each]
+        if not saturates:
+            return codes
+        tops = ((1 << size) - 1 for size in sizes)
+        return [min(max(code, 0), top) for code, top in zip(codes, tops, strict=True)]
+
+    def order_codes(self, codes: Sequence[int], bits: int) -> None:
+        """Obey the codes of p, v, kp, kd, t: position has 16 bits, the others so many."""
+        p, v, kp, kd, t = codes
+        r = self.ranges
+        gains = of_code(kp, r.kp, bits, 0.0), of_code(kd, r.kd, bits, 0.0)
+        self.order((of_code(p, r.p, 16), of_code(v, r.v, bits), *gains, of_code(t, r.t, bits)))
+
     def temperatures_c(self) -> tuple[float, float]:
         """Return the temperatures of power stage (as the housing) and winding [degC]."""
         return self.axis.housing_temperature_c(), self.axis.winding_temperature_c()

@@ -15,7 +15,7 @@ from struct import Struct
 from typing import Final, final
 
 from motorhil.emulators.api import EFF_FLAG, ControllerContext, drive_builder
-from motorhil.emulators.mit.drive import MitDrive, of_code, to_code
+from motorhil.emulators.mit.drive import MitDrive
 from motorhil.emulators.mit.settings import ROBSTRIDES, RobstrideTable
 
 GET_ID, MOTION, FEEDBACK, ENABLE, STOP, ZERO, SET_ID = 0, 1, 2, 3, 4, 6, 7
@@ -74,12 +74,8 @@ class RobstrideDrive(MitDrive):
 
     def _obey(self, kind: int, area: int, data: bytes) -> None:
         if kind == MOTION:
-            p, v, kp, kd = _FOUR.unpack(data)
-            r = self.ranges
-            gains = of_code(kp, r.kp, 16, 0.0), of_code(kd, r.kd, 16, 0.0)
-            torque = of_code(area, r.t, 16)
             if not self._values[RUN_MODE]:
-                self.order((of_code(p, r.p, 16), of_code(v, r.v, 16), *gains, torque))
+                self.order_codes((*_FOUR.unpack(data), area), 16)
         elif kind == ENABLE:
             self.enable()
             self._run()
@@ -93,14 +89,10 @@ class RobstrideDrive(MitDrive):
             self._write(data)
 
     def _feedback(self) -> None:
-        r = self.ranges
-        limits = (r.p, r.v, r.t)
-        pairs = zip(self.measured(), limits, strict=True)
-        codes = [min(max(to_code(value, limit, 16), 0), 0xFFFF) for value, limit in pairs]
         decidegrees = min(max(round(10.0 * self.temperatures_c()[1]), 0), 0xFFFF)
         mode = _RUN if self.is_on else 0
         can_id = FEEDBACK << 24 | mode << 22 | self.fault << 16 | self.node_id << 8 | self._host
-        self.send(can_id, _FOUR.pack(*codes, decidegrees))
+        self.send(can_id, _FOUR.pack(*self.measured_codes(16), decidegrees))
 
     # --- parameters --------------------------------------------------------------------------
 

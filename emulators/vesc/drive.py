@@ -474,9 +474,9 @@ class VescController(MotorDrive):
 
     def current_relative(self, share: float) -> None:
         """Drive this share of the current limit."""
-        duty = self._duty_now()
+        duty, (low, high) = self._duty_now(), self._limits_a
         against = abs(duty) >= _AGAINST and duty * share < 0.0
-        self.current(share * (-self._limits_a[0] if against else self._limits_a[1]))
+        self.current(share * (-low if against else high))
 
     def brake(self, amps: float) -> None:
         """Brake with this current [A], whatever its sign; it never drives."""

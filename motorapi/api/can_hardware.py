@@ -5,6 +5,7 @@ what must be known before a command. `StreamedCanHardware` is for drives to whic
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import TYPE_CHECKING, ClassVar, Final, Generic, NamedTuple, TypeVar
 
 from motorhil.motorapi.api.can_drive import CanDrive, checked_node
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from motorhil.motorapi.runtime.api import Runtime
 
+_ASK_S: Final = 0.05
 OptionsT = TypeVar("OptionsT", bound=Options)
 
 
@@ -183,6 +185,15 @@ class StreamedCanHardware(CanHardware[OptionsT]):
         state = MotorState.ENABLED if self.is_on else MotorState.DISABLED
         state = state if self.fault is None else MotorState.FAULT
         return Measurement(last.time_ns, state, last.position / units, last.velocity / units)
+
+    def await_clear(self, read: Callable[[], int], timeout_s: float) -> None:
+        """Read the fault until it is 0 or the time [s] is over; forget the fault if it is 0."""
+        runtime = self.drive.runtime
+        end_ns = runtime.now_ns() + round(timeout_s * 1e9)
+        while (code := read()) and runtime.now_ns() < end_ns:
+            runtime.wait_until(lambda: False, _ASK_S)
+        if not code:
+            self.fault = None
 
     def measured(self) -> tuple[float, float]:
         """Return position and velocity, extrapolated to the present."""

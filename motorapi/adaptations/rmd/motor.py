@@ -380,11 +380,7 @@ class RmdMotor(StreamedMotor[RmdHwMotor]):
         if hardware.read_errors() & UNTIL_RESTART:
             hardware.restart()
             hardware.connect()
-        end_ns = self.runtime.now_ns() + round(_CLEARED_S * 1e9)
-        while hardware.read_errors() and self.runtime.now_ns() < end_ns:
-            self.runtime.wait_until(lambda: False, _ASK_S)
-        if not hardware.errors:
-            hardware.fault = None
+        hardware.await_clear(hardware.read_errors, _CLEARED_S)
         self._check_fault()
 
     def _position_source(self) -> str:

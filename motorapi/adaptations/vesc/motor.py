@@ -101,7 +101,6 @@ _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
 _BOOTED_NS: Final = 1_000_000_000
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
 _FAULT_STOP_S: Final = 2.0  # a fault clears itself after 0.5 s, unless its cause lasts
-_ASK_S: Final = 0.05
 _ARRIVAL_S: Final = 2.0  # after the last set-point
 
 
@@ -532,12 +531,7 @@ class VescMotor(StreamedMotor[VescHwMotor]):
         return self._rounded(motion, step)
 
     def _reset_fault(self) -> None:
-        hardware = self.hardware
-        end_ns = self.runtime.now_ns() + round(_FAULT_STOP_S * 1e9)
-        while hardware.read_fault() and self.runtime.now_ns() < end_ns:
-            self.runtime.wait_until(lambda: False, _ASK_S)
-        if not hardware.read_fault():
-            hardware.fault = None
+        self.hardware.await_clear(self.hardware.read_fault, _FAULT_STOP_S)
         self._check_fault()
 
     def _is_done(self) -> bool:
