@@ -6,7 +6,7 @@ describe the values in a frame by text.
 """
 
 from motorhil.traces.can_frame import EFF, ERR, RTR, fields
-from motorhil.traces.decoding.layout import Layout, layouts
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Layout, Signal, layouts
 
 __all__ = ["EFF", "ERR", "RTR", "BusMessage", "Layout", "Signal", "fields", "layouts"]

@@ -10,8 +10,8 @@ Source: the maker's manual of Protocol 2.0.
 from collections.abc import Callable
 from typing import Final, final
 
-from motorhil.traces.decoding.layout import Layout
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Layout, Signal
 
 _HEADER: Final = b"\xff\xff\xfd\x00"
 _MARK: Final = _HEADER[:3]

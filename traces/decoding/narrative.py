@@ -7,13 +7,14 @@ follows. So only a few messages need to be decoded.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.formats.modbus import Malformed, recorded_adu
+from motorhil.traces.layout import Signal as Signal
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.protobuf import Value, decode
 from motorhil.traces.schema import (
@@ -57,15 +58,6 @@ _LOCK_WORDS: Final = {
     LockAction.TAKEN_OVER: "takes {motor} over",
     LockAction.LOST: "has lost {motor}",
 }
-
-
-@final
-class Signal(NamedTuple):
-    """A signal of a CAN message: its name, its value in the unit, or by name, and the unit."""
-
-    name: str
-    value: int | float | str
-    unit: str
 
 
 @final

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR, SFF_MASK, fields
-from motorhil.traces.decoding.layout import layouts
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Signal, layouts
 
 _REQUEST, _ANSWER, _ALL, _SETTING = 0x140, 0x240, 0x280, 0x300
 _SINGLE: Final = "@1 temperature i8 C; current i16/100 A; speed i16 deg/s"

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR, fields
-from motorhil.traces.decoding.layout import Layout, layouts
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Layout, Signal, layouts
 
 _COMMANDS: Final = layouts(
     """

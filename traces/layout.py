@@ -12,14 +12,21 @@ from collections.abc import Iterator
 from struct import Struct
 from typing import Final, Literal, NamedTuple, final
 
-from motorhil.traces.decoding.narrative import Signal
-
 Order = Literal["little", "big"]
 
 _PART: Final = re.compile(
     r"\+(?P<skip>\d+)|(?:@(?P<at>\d+) )?(?P<name>.+?) (?P<type>[iuf])(?P<bits>\d+)"
     r"(?P<scale>[/*]\S+)?(?: (?P<unit>.+))?"
 )
+
+
+@final
+class Signal(NamedTuple):
+    """A signal of a CAN message: its name, its value in the unit, or by name, and the unit."""
+
+    name: str
+    value: int | float | str
+    unit: str
 
 
 @final
