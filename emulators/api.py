@@ -1,8 +1,9 @@
 """The controller API: all that a third party's emulated drive may import, and enough.
 
-An emulated drive implements `Controller`, and is built by a function that `controller` marks. The
-motor on its shaft is motorhil's: `axis_of` makes plant, servo and profile generator from the keys
-that all drives share (`MotorTable`).
+An emulated drive implements `Controller`, and is built by a function that `controller` marks;
+`MotorDrive` and `drive_builder` have all but protocol and states. The motor on its shaft is
+motorhil's: `axis_of` makes plant, servo and profile generator from the keys that all drives share
+(`MotorTable`).
 
 `VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
 other modules of motorhil may change at any time.
@@ -34,7 +35,7 @@ from motorhil.emulators.firmware import flags
 from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.modbus.rtu import with_crc
-from motorhil.emulators.motor_drive import MotorDrive
+from motorhil.emulators.motor_drive import MotorDrive, drive_builder
 from motorhil.emulators.plant.dc_motor import RANGES
 from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
@@ -43,9 +44,11 @@ from motorhil.settings import (
     Number,
     SettingError,
     TablesByKey,
+    amount,
     flag,
     nearest,
     number,
+    positive,
     read,
     setting,
     table,
@@ -75,10 +78,12 @@ __all__ = [
     "Number",
     "SettingError",
     "TablesByKey",
+    "amount",
     "axis_of",
     "can_id_of",
     "controller",
     "data_of",
+    "drive_builder",
     "flag",
     "flags",
     "nearest",
@@ -88,6 +93,7 @@ __all__ = [
     "pack",
     "pack_fd",
     "pack_remote",
+    "positive",
     "read",
     "setting",
     "table",

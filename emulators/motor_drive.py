@@ -1,15 +1,20 @@
 """The part of an emulated drive with one motor that no protocol changes.
 
-A drive derives from `MotorDrive`, and adds frames, times and states. The rest of `Controller` is
-here: the queues, the physical inputs, and the true values of the motor.
+A drive derives from `MotorDrive`, and adds frames and states. The rest of `Controller` is here: the
+queues, the times, the physical inputs, and the true values of the motor. `drive_builder` makes the
+`build` of its kind.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from typing import ClassVar, Final, TypeVar
 
-from motorhil.emulators.firmware.axis import Axis
+from motorhil.emulators.controller import Controller, ControllerContext, controller
+from motorhil.emulators.firmware.axis import NEVER_NS, Axis
+from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.settings.motor import MotorTable
+from motorhil.settings import read
 
 _INPUTS: Final = ("load_torque_n_m", "supply_v", "power", "fault")
 
@@ -22,14 +27,24 @@ class MotorDrive(ABC):
         faults: the codes that the input "fault" accepts.
 
     Attributes:
+        INPUTS: its own physical inputs, with the range of each.
         axis: its motor.
         is_powered: whether it has power.
+        now_ns: the time of the last update.
+        due_ns: its times by name, each until `is_due`; the loss of power cancels them.
+        revision: to be increased when its identifiers change.
     """
+
+    INPUTS: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     def __init__(self, axis: Axis, faults: Collection[int]) -> None:
         self.axis: Final = axis
         self.is_powered: bool = False
+        self.now_ns: int = 0
+        self.due_ns: Final[dict[Hashable, int]] = {}
+        self.revision: int = 0
         self._faults: Final = faults
+        self._later: list[tuple[int, bytes]] = []
         self._out: list[bytes] = []
         self._events: list[tuple[str, str]] = []
 
@@ -41,7 +56,16 @@ class MotorDrive(ABC):
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time, before an input changes."""
+        self.now_ns = now_ns
         self.axis.at(now_ns)
+
+    def watches(self) -> bool:
+        """Return whether events of the motor, such as limits of its plant, must be noticed."""
+        return False
+
+    def set_input(self, name: str, value: float) -> None:
+        """Set one of its own `INPUTS`, in range."""
+        raise NotImplementedError(f"{type(self).__name__} does not set {name} = {value}")
 
     @abstractmethod
     def inject(self, fault: int) -> None:
@@ -60,6 +84,17 @@ class MotorDrive(ABC):
     def queue(self, frame: bytes) -> None:
         """Queue a frame."""
         self._out.append(frame)
+
+    def queue_at(self, frame: bytes, due_ns: int) -> None:
+        """Queue a frame by the `queue_due` at this time."""
+        self._later.append((due_ns, frame))
+
+    def queue_due(self) -> None:
+        """Queue the delayed frames whose time has come."""
+        for due_ns, frame in self._later:
+            if due_ns <= self.now_ns:
+                self.queue(frame)
+        self._later = [one for one in self._later if one[0] > self.now_ns]
 
     def note(self, level: str, message: str) -> None:
         """Add an event: "info", "warning" or "error"."""
@@ -88,13 +123,45 @@ class MotorDrive(ABC):
         return False
 
     def identifiers_revision(self) -> int:
-        """Return 0: the identifiers never change."""
-        return 0
+        """Return a number that grows with every change of the identifiers."""
+        return self.revision
+
+    # --- times
+
+    def is_due(self, name: Hashable) -> bool:
+        """Return True, once, if the time of this name has come."""
+        if self.now_ns < self.due_ns.get(name, NEVER_NS):
+            return False
+        del self.due_ns[name]
+        return True
+
+    def wake(self, name: Hashable, wait_ns: int) -> None:
+        """Set the time of this name, so long after the last update; 0: cancel it."""
+        self.due_ns[name] = self.now_ns + wait_ns
+        if not wait_ns:
+            del self.due_ns[name]
+
+    def cancel_times(self) -> None:
+        """Cancel all times and delayed frames."""
+        self.due_ns.clear()
+        self._later.clear()
+
+    def next_deadline_ns(self) -> int | None:
+        """Return the latest time of the next call of `expire` [ns]."""
+        if not self.is_powered:
+            return None
+        due_ns = min(self.due_ns.values(), default=NEVER_NS)
+        for later_ns, _ in self._later:
+            due_ns = min(due_ns, later_ns)
+        if self.watches():
+            due_ns = min(due_ns, self.axis.event_ns(due_ns))
+        return None if due_ns >= NEVER_NS else due_ns
 
     # --- physical inputs, and the truth
 
     def start(self, now_ns: int) -> None:
         """Switch the power on."""
+        self.now_ns = now_ns
         self.axis.at(now_ns)
         self.is_powered = True
         self.boot(now_ns)
@@ -105,10 +172,12 @@ class MotorDrive(ABC):
         Raises:
             ValueError: there is no such input, or the value is out of range.
         """
-        if name not in _INPUTS:
-            raise ValueError(f"there is no stimulus {name!r}; known: {', '.join(_INPUTS)}")
-        low, high = RANGES["load_torque_n_m"]
-        if name == "load_torque_n_m" and not low <= value <= high:
+        own = self.INPUTS
+        if name not in (*own, *_INPUTS):
+            known = ", ".join((*_INPUTS, *own))
+            raise ValueError(f"there is no stimulus {name!r}; known: {known}")
+        low, high = own.get(name, RANGES["load_torque_n_m"])
+        if name in (*own, "load_torque_n_m") and not low <= value <= high:
             raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
         if name == "fault" and not (float(value).is_integer() and int(value) in self._faults):
             codes = _listed(self._faults)
@@ -116,7 +185,9 @@ class MotorDrive(ABC):
         if name == "power" and value not in (0, 1):
             raise ValueError(f"{name} = {value}: out of range; expected 0 or 1")
         self.advance(now_ns)
-        if name == "load_torque_n_m":
+        if name in own:
+            self.set_input(name, value)
+        elif name == "load_torque_n_m":
             self.axis.set_load(value)
         elif name == "supply_v":
             self.axis.set_supply(value)
@@ -126,6 +197,7 @@ class MotorDrive(ABC):
             self.start(now_ns)
         elif not value:
             self.is_powered = False
+            self.cancel_times()
             self.go_dark()
 
     def snapshot(self, now_ns: int) -> Mapping[str, float]:
@@ -139,3 +211,35 @@ def _listed(codes: Collection[int]) -> str:
     if isinstance(codes, range):
         return f"{codes.start} to {codes.stop - 1}"
     return ", ".join(map(str, codes)) or "none"
+
+
+TableT = TypeVar("TableT", bound=MotorTable)
+
+
+def drive_builder(
+    table: type[TableT],
+    make: Callable[[TableT, ControllerContext], Controller],
+    *,
+    api: int,
+    bus_kinds: Sequence[str] = ("can",),
+) -> Callable[[Mapping[str, object], ControllerContext], Controller]:
+    """Return the `build` of a drive, marked by `controller`: from its table, on its own clock.
+
+    Args:
+        table: the class of its settings.
+        make: makes the drive: its class.
+        api: as of `controller`.
+        bus_kinds: as of `controller`.
+    """
+
+    @controller(api=api, bus_kinds=bus_kinds)
+    def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
+        """Build the drive from its table in a rig.
+
+        Raises:
+            SettingError: a key or value is wrong; names the keys.
+        """
+        own = read(table, settings)
+        return on_own_time(make(own, context), own.motor(context.stream()).oscillator)
+
+    return build

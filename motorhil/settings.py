@@ -738,6 +738,32 @@ def number(
     return setting(default, kind, doc, name=name, of_linear=of_linear)
 
 
+def positive(
+    default: float | None,
+    unit: str,
+    doc: str,
+    plausible: tuple[float, float] | None = None,
+    *,
+    most: float = math.inf,
+    **own: Any,
+) -> Any:
+    """Declare a number above 0, up to `most`; `own` as in `number`."""
+    return number(default, 0, most, unit, doc, above=True, plausible=plausible, **own)
+
+
+def amount(
+    default: float | None,
+    unit: str,
+    doc: str,
+    plausible: tuple[float, float] | None = None,
+    *,
+    most: float = math.inf,
+    **own: Any,
+) -> Any:
+    """Declare a number of 0 or more, up to `most`; `own` as in `number`."""
+    return number(default, 0, most, unit, doc, plausible=plausible, **own)
+
+
 def whole(
     default: int | None,
     low: int,

@@ -16,24 +16,20 @@ maker's device-side program for OpenCR.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.emulators.api import (
     NEVER_NS,
     REQUIRED,
-    Controller,
     ControllerContext,
     MotorDrive,
-    MotorSettings,
     MotorTable,
     Number,
     SettingError,
     TablesByKey,
-    controller,
+    amount,
+    drive_builder,
     nearest,
-    number,
-    on_own_time,
-    read,
     setting,
     whole,
     word,
@@ -77,7 +73,6 @@ _WATCHDOG_NS: Final = 20 * _MS
 _WATCHDOG_ERROR: Final = -1
 _VOLTAGE, _HEAT, _OVERLOAD = 0x01, 0x04, 0x20
 _FAULTS: Final = range(1, 0x3E)
-_INPUTS: Final = {"input_voltage_v": (0.0, 100.0), "temperature_c": (-40.0, 200.0)}
 
 
 @final
@@ -93,12 +88,11 @@ class DynamixelTable(MotorTable):
         TablesByKey(Number(-(1 << 31), (1 << 31) - 1, is_whole=True)),
         "Values as delivered, by name of the item.",
     )
-    boot_up_s: float = number(
-        0.4, 0, 60, "s", "From power-on or a reboot until it answers.", plausible=(0.05, 5.0)
+    boot_up_s: float = amount(
+        0.4, "s", "From power-on or a reboot until it answers.", (0.05, 5.0), most=60
     )
-    turn_round_s: float = number(
-        *(50e-6, 0, 0.01, "s", "Least time from an instruction to its status."),
-        plausible=(1e-6, 1e-3),
+    turn_round_s: float = amount(
+        50e-6, "s", "Least time from an instruction to its status.", (1e-6, 1e-3), most=0.01
     )
 
 
@@ -115,7 +109,10 @@ class Servo(MotorDrive):
         SettingError: a register is unknown, or its value is out of range.
     """
 
-    def __init__(self, own: DynamixelTable, motor: MotorSettings, line_bit_s: int | None) -> None:
+    INPUTS: ClassVar = {"input_voltage_v": (0.0, 100.0), "temperature_c": (-40.0, 200.0)}
+
+    def __init__(self, own: DynamixelTable, context: ControllerContext) -> None:
+        motor, line_bit_s = own.motor(context.stream()), context.bitrate_bit_s
         self.unit: Final = own.unit
         self._model: Final = MODELS[own.model]
         self._firmware: Final = self._model.firmware if own.firmware is None else own.firmware
@@ -131,7 +128,6 @@ class Servo(MotorDrive):
         self._boot_ns: Final = round(own.boot_up_s * 1e9)
         self._turn_round_ns: Final = round(own.turn_round_s * 1e9)
         self._ready_ns = self._booted_ns = self._heard_ns = 0
-        self._now_ns = 0
         self._overloaded_ns = NEVER_NS  # when the error comes
         self._voltage, self._temperature = self._model.voltage[1], 30
         self._is_shut_down = False
@@ -188,23 +184,13 @@ class Servo(MotorDrive):
             self._due_ns, self._before = NEVER_NS, None
             self.queue(self._answer)
 
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set input voltage [V] or temperature [degC], or an input of every drive.
-
-        Raises:
-            ValueError: there is no such input, or the value is out of range.
-        """
-        if name not in _INPUTS:
-            super().stimulate(name, value, now_ns)
-            return
-        low, high = _INPUTS[name]
-        if not low <= value <= high:
-            raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
+    def set_input(self, name: str, value: float) -> None:
+        """Set input voltage [V] or temperature [degC]."""
         if name == "input_voltage_v":
             self._voltage = round(value * 10.0)
         else:
             self._temperature = round(value)
-        self.advance(now_ns)
+        self.advance(self.now_ns)
 
     def inject(self, fault: int) -> None:
         """Set bits of the hardware error status."""
@@ -230,16 +216,15 @@ class Servo(MotorDrive):
 
     def advance(self, now_ns: int) -> None:
         """Update the motor to this time, and apply what has become of it."""
-        self._now_ns = now_ns
-        self.axis.at(now_ns)
+        super().advance(now_ns)
         if self.is_powered:
             self._look()
 
     def _look(self) -> None:
         """Apply what has become of the motor, its supply and the host."""
-        memory, now_ns = self.memory, self._now_ns
+        memory, now_ns = self.memory, self.now_ns
         if now_ns >= self._watchdog_ns():
-            self.note("warning", "bus watchdog: no instruction on the line; the motor stops")
+            self.warn("bus watchdog: no instruction on the line; the motor stops")
             memory["bus_watchdog"] = _WATCHDOG_ERROR
             memory["profile_velocity"] = memory["profile_acceleration"] = 0
             self.motion.stop()
@@ -268,7 +253,7 @@ class Servo(MotorDrive):
 
     def _torque(self, on: bool) -> None:
         if on and self._is_shut_down:
-            self.note("warning", "torque on is ignored: shut down; it needs a reboot")
+            self.warn("torque on is ignored: shut down; it needs a reboot")
             on = False
         self.memory["torque_enable"] = on
         if on != self.motion.is_on:
@@ -303,7 +288,7 @@ class Servo(MotorDrive):
     def _reply(self, error: Error, data: bytes = b"") -> None:
         unit, delay_ns = self._answers_as  # as before a write that changes them
         self._answer = status(unit, self._error(error), data)
-        self._due_ns = self._now_ns + delay_ns
+        self._due_ns = self.now_ns + delay_ns
 
     def _error(self, error: Error) -> int:
         return error | (ALERT if self.memory["hardware_error_status"] else 0)
@@ -313,15 +298,15 @@ class Servo(MotorDrive):
         if self._before == -1:  # broadcast ping: one step for each id in between
             steps = self.memory["id"] - unit - 1
             if steps >= 0:
-                self._due_ns = self._now_ns + self._turn_round_ns + steps * self._ping_step_ns()
+                self._due_ns = self.now_ns + self._turn_round_ns + steps * self._ping_step_ns()
         elif self._before is not None:
-            is_late = self._now_ns > self._gives_up_ns
-            self._gives_up_ns = self._now_ns + _PATIENCE_NS
+            is_late = self.now_ns > self._gives_up_ns
+            self._gives_up_ns = self.now_ns + _PATIENCE_NS
             if is_late:
                 self._before = None
             elif unit == self._before:
                 self._before = None
-                self._due_ns = self._now_ns + self._delay_ns()
+                self._due_ns = self.now_ns + self._delay_ns()
 
     def _extend(self, data: bytes, start_ns: int, now_ns: int) -> None:
         """Collect the bytes of a fast read before our block; add ours when they are complete."""
@@ -419,7 +404,7 @@ class Servo(MotorDrive):
 
     def _reboot(self) -> None:
         self.note("info", "reboots")
-        self.boot(self._now_ns)
+        self.boot(self.now_ns)
 
     def _reset(self, data: bytes, is_broadcast: bool) -> tuple[Error, Callable[[], None] | None]:
         keep = _KEEP.get(data[0]) if len(data) == 1 else None
@@ -458,7 +443,7 @@ class Servo(MotorDrive):
     def _bytes(self, address: int, length: int) -> bytes | None:
         memory = self.memory
         self.motion.refresh()
-        memory["realtime_tick"] = max(0, self._now_ns - self._booted_ns) // _MS % 32_768
+        memory["realtime_tick"] = max(0, self.now_ns - self._booted_ns) // _MS % 32_768
         memory["present_input_voltage"] = self._voltage
         memory["present_temperature"] = self._temperature
         return memory.read(address, length)
@@ -510,7 +495,7 @@ class Servo(MotorDrive):
         if wanted.get(memory["operating_mode"], _GOALS[3]) in values:
             self.motion.go()
         if "baud_rate" in values and self._line_bit_s not in (None, BAUD[memory["baud_rate"]]):
-            self.note("warning", "its baud rate is not that of the line; it is unreachable now")
+            self.warn("its baud rate is not that of the line; it is unreachable now")
 
     def _enter_mode(self) -> None:
         memory = self.memory
@@ -522,7 +507,7 @@ class Servo(MotorDrive):
         if memory["operating_mode"] == modes.POSITION:
             self.motion.forget_turns()
         if memory["operating_mode"] == 16:
-            self.note("warning", "PWM mode (16) is not emulated; the motor has no current")
+            self.warn("PWM mode (16) is not emulated; the motor has no current")
         self.motion.limit_current()
 
     # --- groups ----------------------------------------------------------------------------------
@@ -545,7 +530,7 @@ class Servo(MotorDrive):
         index = places.index(mine[0])
         _, address, length, _ = mine[0]
         found = self._bytes(address, length)
-        self._gives_up_ns = self._now_ns + _PATIENCE_NS
+        self._gives_up_ns = self.now_ns + _PATIENCE_NS
         if fast:
             self._answer_fast(places, index, found)
             return
@@ -565,7 +550,7 @@ class Servo(MotorDrive):
             self._answer = HEADER + bytes((BROADCAST,)) + total.to_bytes(2, "little")
             self._answer += bytes((STATUS,)) + block
             self._answer += crc16(self._answer)
-            self._due_ns = self._now_ns + self._delay_ns()
+            self._due_ns = self.now_ns + self._delay_ns()
             return
         self._answer = block
         self._fast = 8 + sum(4 + place[2] for place in places[:index]), bytearray()
@@ -606,13 +591,4 @@ def _rate(line_bit_s: int | None, rates: Sequence[int]) -> dict[str, int]:
     return {"baud_rate": rates.index(line_bit_s)}
 
 
-@controller(api=1, bus_kinds=("serial",))
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the servo that a rig describes.
-
-    Raises:
-        SettingError: a key is unknown, or a value is missing or wrong; names the keys.
-    """
-    own = read(DynamixelTable, settings)
-    motor = own.motor(context.stream())
-    return on_own_time(Servo(own, motor, context.bitrate_bit_s), motor.oscillator)
+build = drive_builder(DynamixelTable, Servo, api=1, bus_kinds=("serial",))

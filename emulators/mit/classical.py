@@ -17,12 +17,12 @@ Source: bgkatz/motorcontrol, Core/Src/{can,fsm,stm32f4xx_it}.c; CubeMars, AK Ser
 p. 48 and 49; cmjang/DM_Control_Python.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from struct import Struct
 from typing import Final, final
 
-from motorhil.emulators.api import Controller, ControllerContext, controller, on_own_time, read
-from motorhil.emulators.mit.drive import MitDrive, of_code, to_code
+from motorhil.emulators.api import ControllerContext, drive_builder
+from motorhil.emulators.mit.drive import MitDrive, to_code
 from motorhil.emulators.mit.settings import DAMIAO, MINI_CHEETAH, MODELS, MitTable, Ranges
 
 SPECIAL: Final = b"\xff" * 7
@@ -35,6 +35,7 @@ _MIT_MODE: Final = 1
 _TICK_NS: Final = 50_000  # of TIMEOUT
 _BUS_V_MAX: Final = 80.0
 _PARAMETER: Final = Struct("<HBB")
+_FLOAT: Final = Struct("<f")
 _WHOLE: Final = (MASTER_ID, ESC_ID, TIMEOUT, MODE, 13, 14, 15, 16)
 
 
@@ -42,11 +43,11 @@ _WHOLE: Final = (MASTER_ID, ESC_ID, TIMEOUT, MODE, 13, 14, 15, 16)
 class ClassicalDrive(MitDrive):
     """Implements `motorhil.emulators.api.Controller`."""
 
-    def __init__(self, table: MitTable, stream: str) -> None:
-        super().__init__(table, MODELS[table.model], stream)
+    def __init__(self, table: MitTable, context: ControllerContext) -> None:
+        super().__init__(table, MODELS[table.model], context)
         self._master_id: int = table.master_id
         self._length: Final = table.answer_bytes or self.firmware.answer_bytes
-        self._gear: Final = table.motor(stream).plant.gear_ratio
+        self._gear: Final = self.plant.gear_ratio
 
     def identifiers(self) -> Sequence[int] | None:
         """Return the identifier of requests; Damiao's also that of parameters."""
@@ -58,18 +59,14 @@ class ClassicalDrive(MitDrive):
             self._parameter(data)
             return
         if len(data) != 8:
-            self.note("warning", f"request of {len(data)} bytes is ignored; expected 8")
+            self.warn(f"request of {len(data)} bytes is ignored; expected 8")
             return
         self._answer()
         if data[:7] == SPECIAL and data[7] in range(CLEAR, ZERO + 1):
             self._special(data[7])
             return
-        bits, ranges = int.from_bytes(data, "big"), self.ranges
-        p = of_code(bits >> 48, ranges.p, 16)
-        v = of_code(bits >> 36 & 0xFFF, ranges.v, 12)
-        kp = of_code(bits >> 24 & 0xFFF, ranges.kp, 12, 0.0)
-        kd = of_code(bits >> 12 & 0xFFF, ranges.kd, 12, 0.0)
-        self.order((p, v, kp, kd, of_code(bits & 0xFFF, ranges.t, 12)))
+        bits = int.from_bytes(data, "big")
+        self.order_codes((bits >> 48, *(bits >> at & 0xFFF for at in (36, 24, 12, 0))), 12)
 
     def timed_out(self) -> None:
         """Make the motor limp; Damiao's drives have a fault."""
@@ -84,20 +81,15 @@ class ClassicalDrive(MitDrive):
         elif code == LEAVE:
             self.leave()
         elif code == ZERO and self.is_on and self.firmware is MINI_CHEETAH:
-            self.note("warning", "zero not set: the drive is in motor mode; leave it first")
+            self.warn("zero not set: the drive is in motor mode; leave it first")
         elif code == ZERO:
             self.set_zero()
         elif self.firmware is DAMIAO:
             self.clear()
 
     def _answer(self) -> None:
-        p, v, t = self.measured()
-        ranges = self.ranges
-        codes = [to_code(p, ranges.p, 16), to_code(v, ranges.v, 12), to_code(t, ranges.t, 12)]
-        if self.firmware is not MINI_CHEETAH:
-            limits = zip(codes, (0xFFFF, 0xFFF, 0xFFF), strict=True)
-            codes = [min(max(code, 0), limit) for code, limit in limits]
-        p_code, v_code, t_code = codes
+        saturates = self.firmware is not MINI_CHEETAH
+        p_code, v_code, t_code = self.measured_codes(12, saturates=saturates)
         stage_c, winding_c = (min(max(int(c), 0), 0xFF) for c in self.temperatures_c())
         number, tail = self.node_id, (stage_c, self.fault)
         if self.firmware is DAMIAO:
@@ -121,13 +113,13 @@ class ClassicalDrive(MitDrive):
         if operation == ASK:
             self._answer()
         elif operation == STORE or operation not in (READ, WRITE):
-            self.note("warning", f"operation {operation:02X}h on parameters is not emulated")
+            self.warn(f"operation {operation:02X}h on parameters is not emulated")
         else:
             if operation == WRITE and len(data) == 8:
                 self._write(number, data[4:])
             value = self._parameters().get(number)
             if value is None:
-                self.note("warning", f"parameter {number} is not emulated")
+                self.warn(f"parameter {number} is not emulated")
                 return
             told = round(value).to_bytes(4, "little") if number in _WHOLE else _FLOAT.pack(value)
             self.send(self._master_id, _PARAMETER.pack(node_id, operation, number) + told)
@@ -150,19 +142,7 @@ class ClassicalDrive(MitDrive):
             name = {P_MAX: "p", V_MAX: "v", T_MAX: "t"}[number]
             self.ranges: Ranges = self.ranges._replace(**{name: value})
         else:
-            self.note("warning", f"parameter {number} = {data.hex()} is refused")
+            self.warn(f"parameter {number} = {data.hex()} is refused")
 
 
-_FLOAT: Final = Struct("<f")
-
-
-@controller(api=1)
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive from its table in a rig.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(MitTable, settings)
-    stream = context.stream()
-    return on_own_time(ClassicalDrive(table, stream), table.motor(stream).oscillator)
+build = drive_builder(MitTable, ClassicalDrive, api=1)

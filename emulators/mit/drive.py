@@ -14,8 +14,8 @@ from typing import Final
 from motorhil.emulators.api import (
     EFF_FLAG,
     ERR_FLAG,
-    NEVER_NS,
     RTR_FLAG,
+    ControllerContext,
     MotorDrive,
     axis_of,
     can_id_of,
@@ -29,6 +29,7 @@ OVER_VOLTAGE: Final = 1.25  # of the supply's own voltage
 UNDER_VOLTAGE: Final = 0.7
 OVER_TEMPERATURE_C: Final = 125.0
 LIMP: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
+_BOOT, _COMMAND = "boot", "command"  # times
 
 
 def to_code(value: float, limit: float, bits: int, low: float | None = None) -> int:
@@ -53,9 +54,12 @@ class MitDrive(MotorDrive):
 
     flag = 0  # of its identifiers
 
-    def __init__(self, table: RangesTable, model: tuple[Firmware, Ranges], stream: str) -> None:
-        motor = table.motor(stream)
+    def __init__(
+        self, table: RangesTable, model: tuple[Firmware, Ranges], context: ControllerContext
+    ) -> None:
+        motor = table.motor(context.stream())
         super().__init__(axis_of(motor, motor.oscillator.rate()), model[0].codes)
+        self.plant: Final = motor.plant
         plant = motor.plant
         self.firmware: Final = model[0]
         self.ranges: Ranges = table.ranges(model[1])
@@ -67,12 +71,10 @@ class MitDrive(MotorDrive):
         )
         self.is_on: bool = False
         self.fault: int = 0
-        self.now_ns: int = 0
-        self.revision = 0
         own_s = table.watchdog_s
         self.watchdog_ns: int = ns(self.firmware.watchdog_s if own_s is None else own_s)
         self._boot_up_ns: Final = ns(table.boot_up_s)
-        self._inc_rad: Final = plant.gear_ratio * plant.increments_per_rad()
+        self.inc_rad: Final = plant.gear_ratio * plant.increments_per_rad()
         self._n_m_a: Final = plant.gear_ratio * plant.torque_constant_n_m_a
         self._turn_inc: Final = plant.encoder_increments_rev
         self._has_extras: Final = plant.extras.is_any()
@@ -80,7 +82,6 @@ class MitDrive(MotorDrive):
         self._zero_count = 0
         self._was_left = False  # since the fault
         self._was_up = False
-        self._boot_ns = self._due_ns = NEVER_NS
         self._deaf_ns = 0
 
     # --- of derived classes ------------------------------------------------------------------
@@ -101,34 +102,31 @@ class MitDrive(MotorDrive):
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
-        self._boot_ns = now_ns + self._boot_up_ns
+        self.due_ns[_BOOT] = now_ns + self._boot_up_ns
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Handle a frame from the bus; remote frames are not for this drive."""
         can_id = can_id_of(data)
         if can_id & (EFF_FLAG | ERR_FLAG | RTR_FLAG) != self.flag or now_ns < self._deaf_ns:
             return
-        if self.is_powered and self._boot_ns == NEVER_NS:
+        if self.is_powered and _BOOT not in self.due_ns:
             self.advance(now_ns)
             self.hear(can_id & ~self.flag, data_of(data))
 
-    def next_deadline_ns(self) -> int | None:
-        """Return the latest time of the next call of `expire` [ns]."""
-        due_ns = min(self._boot_ns, self._due_ns)
-        if self.is_on and self._has_extras:
-            due_ns = min(due_ns, self.axis.event_ns(NEVER_NS))
-        return None if due_ns >= NEVER_NS else due_ns
+    def watches(self) -> bool:
+        """Return whether the plant can cause a fault now."""
+        return self.is_on and self._has_extras
 
     def expire(self, now_ns: int) -> None:
         """Boot, notice missing commands and faults of the plant."""
-        if now_ns >= self._boot_ns:
-            self._boot_ns = NEVER_NS
+        self.now_ns = now_ns
+        if self.is_due(_BOOT):
             self._come_up(now_ns)
         self.advance(now_ns)
-        if now_ns >= self._due_ns:
-            self.note("warning", f"no command for {self.watchdog_ns / 1e9:g} s")
+        if self.is_due(_COMMAND):
+            self.warn(f"no command for {self.watchdog_ns / 1e9:g} s")
             self.timed_out()
-            self._due_ns = NEVER_NS
+            self.wake(_COMMAND, 0)
 
     def inject(self, fault: int) -> None:
         """Cause a fault."""
@@ -138,7 +136,6 @@ class MitDrive(MotorDrive):
         """Lose the power, and so the fault."""
         self._off()
         self.fault = 0
-        self._boot_ns = NEVER_NS
 
     def truth(self) -> Mapping[str, float]:
         """Return the last command, whether it is on, and the fault."""
@@ -153,10 +150,6 @@ class MitDrive(MotorDrive):
             "fault": float(self.fault),
         }
 
-    def identifiers_revision(self) -> int:
-        """Return a number that grows when the identifiers change."""
-        return self.revision
-
     # --- states ------------------------------------------------------------------------------
 
     def enable(self) -> None:
@@ -164,7 +157,7 @@ class MitDrive(MotorDrive):
         if self.is_on:
             return
         if self.fault and not self._was_left:
-            self.note("warning", f"enabling refused: fault {self.fault}; leave motor mode first")
+            self.warn(f"enabling refused: fault {self.fault}; leave motor mode first")
         elif self.clear():
             self.is_on = True
             self.axis.power(True)
@@ -182,7 +175,7 @@ class MitDrive(MotorDrive):
         """Clear the fault if its cause is gone; return True if there is none any more."""
         cause = self._cause()
         if cause:
-            self.note("warning", f"fault {cause} remains: its cause is still there")
+            self.warn(f"fault {cause} remains: its cause is still there")
         else:
             self.fault = 0
         return not cause
@@ -212,12 +205,29 @@ class MitDrive(MotorDrive):
     def measured(self) -> tuple[float, float, float]:
         """Return position [rad], velocity [rad/s] and torque [N m] at the output."""
         axis = self.axis
-        inc_rad = self._inc_rad
+        inc_rad = self.inc_rad
         return (
             axis.position_inc() / inc_rad,
             axis.velocity_inc_s() / inc_rad,
             axis.torque_n_m(),
         )
+
+    def measured_codes(self, bits: int, *, saturates: bool = True) -> list[int]:
+        """Return the codes of what is measured: position with 16 bits, the others with so many."""
+        r, sizes = self.ranges, (16, bits, bits)
+        of_each = zip(self.measured(), (r.p, r.v, r.t), sizes, strict=True)
+        codes = [to_code(*one) for one in of_each]
+        if not saturates:
+            return codes
+        tops = ((1 << size) - 1 for size in sizes)
+        return [min(max(code, 0), top) for code, top in zip(codes, tops, strict=True)]
+
+    def order_codes(self, codes: Sequence[int], bits: int) -> None:
+        """Obey the codes of p, v, kp, kd, t: position has 16 bits, the others so many."""
+        p, v, kp, kd, t = codes
+        r = self.ranges
+        gains = of_code(kp, r.kp, bits, 0.0), of_code(kd, r.kd, bits, 0.0)
+        self.order((of_code(p, r.p, 16), of_code(v, r.v, bits), *gains, of_code(t, r.t, bits)))
 
     def temperatures_c(self) -> tuple[float, float]:
         """Return the temperatures of power stage (as the housing) and winding [degC]."""
@@ -231,8 +241,7 @@ class MitDrive(MotorDrive):
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time; notice faults of the plant."""
-        self.now_ns = now_ns
-        self.axis.at(now_ns)
+        super().advance(now_ns)
         cause = self._cause() if self.is_on else 0
         if cause:
             self.fail(cause)
@@ -254,15 +263,14 @@ class MitDrive(MotorDrive):
 
     def _apply(self) -> None:
         p, v, kp, kd, t = self._applied = self._command
-        inc_rad = self._inc_rad
+        inc_rad = self.inc_rad
         gain = 1.0 / (inc_rad * self._n_m_a)
         self.axis.follow_impedance(p * inc_rad, v * inc_rad, kp * gain, kd * gain, t / self._n_m_a)
 
     def _feed(self) -> None:
-        armed = self.is_on and self.watchdog_ns
-        self._due_ns = self.now_ns + self.watchdog_ns if armed else NEVER_NS
+        self.wake(_COMMAND, self.watchdog_ns if self.is_on else 0)
 
     def _off(self) -> None:
         self.is_on = False
-        self._due_ns = NEVER_NS
+        self.wake(_COMMAND, 0)
         self.axis.power(False)

@@ -9,20 +9,13 @@ Not emulated: fault reports (type 21) by themselves, run mode csp.
 Source: robstride 0.1.0 (client.py); maker's manual as told by public drivers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from struct import Struct
 from typing import Final, final
 
-from motorhil.emulators.api import (
-    EFF_FLAG,
-    Controller,
-    ControllerContext,
-    controller,
-    on_own_time,
-    read,
-)
-from motorhil.emulators.mit.drive import MitDrive, of_code, to_code
+from motorhil.emulators.api import EFF_FLAG, ControllerContext, drive_builder
+from motorhil.emulators.mit.drive import MitDrive
 from motorhil.emulators.mit.settings import ROBSTRIDES, RobstrideTable
 
 GET_ID, MOTION, FEEDBACK, ENABLE, STOP, ZERO, SET_ID = 0, 1, 2, 3, 4, 6, 7
@@ -44,14 +37,12 @@ class RobstrideDrive(MitDrive):
 
     flag = EFF_FLAG
 
-    def __init__(self, table: RobstrideTable, stream: str) -> None:
-        super().__init__(table, ROBSTRIDES[table.model], stream)
-        plant = table.motor(stream).plant
-        self._inc = plant.gear_ratio * plant.increments_per_rad()
+    def __init__(self, table: RobstrideTable, context: ControllerContext) -> None:
+        super().__init__(table, ROBSTRIDES[table.model], context)
         self._host = 0xFD  # the last one that told its number; a command does not
         self._values: dict[int, float] = {
             **dict.fromkeys((RUN_MODE, IQ_REF, SPD_REF, LOC_REF), 0.0),
-            **{LIMIT_SPD: 2.0, LIMIT_CUR: plant.current_max_a, LIMIT_TORQUE: self.ranges.t},
+            **{LIMIT_SPD: 2.0, LIMIT_CUR: self.plant.current_max_a, LIMIT_TORQUE: self.ranges.t},
         }
 
     def identifiers(self) -> Sequence[int] | None:
@@ -64,7 +55,7 @@ class RobstrideDrive(MitDrive):
         if target != self.node_id or kind == FEEDBACK:
             return
         if len(data) != 8:
-            self.note("warning", f"type {kind} with {len(data)} bytes is ignored; expected 8")
+            self.warn(f"type {kind} with {len(data)} bytes is ignored; expected 8")
         elif kind == GET_ID:
             self.send(self.node_id << 8 | 0xFE, _SERIAL)
         elif kind == READ:
@@ -79,16 +70,12 @@ class RobstrideDrive(MitDrive):
             self._feedback()
             self._obey(kind, area, data)
         else:
-            self.note("warning", f"frames of type {kind} are not emulated")
+            self.warn(f"frames of type {kind} are not emulated")
 
     def _obey(self, kind: int, area: int, data: bytes) -> None:
         if kind == MOTION:
-            p, v, kp, kd = _FOUR.unpack(data)
-            r = self.ranges
-            gains = of_code(kp, r.kp, 16, 0.0), of_code(kd, r.kd, 16, 0.0)
-            torque = of_code(area, r.t, 16)
             if not self._values[RUN_MODE]:
-                self.order((of_code(p, r.p, 16), of_code(v, r.v, 16), *gains, torque))
+                self.order_codes((*_FOUR.unpack(data), area), 16)
         elif kind == ENABLE:
             self.enable()
             self._run()
@@ -102,14 +89,10 @@ class RobstrideDrive(MitDrive):
             self._write(data)
 
     def _feedback(self) -> None:
-        r = self.ranges
-        limits = (r.p, r.v, r.t)
-        pairs = zip(self.measured(), limits, strict=True)
-        codes = [min(max(to_code(value, limit, 16), 0), 0xFFFF) for value, limit in pairs]
         decidegrees = min(max(round(10.0 * self.temperatures_c()[1]), 0), 0xFFFF)
         mode = _RUN if self.is_on else 0
         can_id = FEEDBACK << 24 | mode << 22 | self.fault << 16 | self.node_id << 8 | self._host
-        self.send(can_id, _FOUR.pack(*codes, decidegrees))
+        self.send(can_id, _FOUR.pack(*self.measured_codes(16), decidegrees))
 
     # --- parameters --------------------------------------------------------------------------
 
@@ -120,7 +103,7 @@ class RobstrideDrive(MitDrive):
         measured = {MECHPOS: p, MECHVEL: v, IQF: axis.current_a(), VBUS: axis.dc_link_v()}
         value = {**self._values, **measured}.get(index)
         if value is None:
-            self.note("warning", f"parameter {index:04X}h is not emulated")
+            self.warn(f"parameter {index:04X}h is not emulated")
             return
         told = bytes((int(value), 0, 0, 0)) if index == RUN_MODE else _FLOAT.pack(value)
         self.send(READ << 24 | self.node_id << 8 | host, _INDEX.pack(index, 0) + told)
@@ -129,9 +112,9 @@ class RobstrideDrive(MitDrive):
         index = _INDEX.unpack_from(data)[0]
         value = float(data[4]) if index == RUN_MODE else _FLOAT.unpack_from(data, 4)[0]
         if index not in self._values or not isfinite(value):
-            self.note("warning", f"parameter {index:04X}h = {data[4:].hex()} is refused")
+            self.warn(f"parameter {index:04X}h = {data[4:].hex()} is refused")
         elif index == RUN_MODE and (value > 3 or self.is_on):
-            self.note("warning", f"run mode {value:g} is refused; 0 to 3, while stopped")
+            self.warn(f"run mode {value:g} is refused; 0 to 3, while stopped")
         else:
             self._values[index] = value
             self._run()
@@ -141,7 +124,7 @@ class RobstrideDrive(MitDrive):
         mode, values, axis = self._values[RUN_MODE], self._values, self.axis
         if not self.is_on or not mode:
             return
-        inc, steep = self._inc, _STEEP * self._inc
+        inc, steep = self.inc_rad, _STEEP * self.inc_rad
         axis.set_current_limit(abs(values[LIMIT_CUR]))
         if mode == 1:
             axis.move_to(round(values[LOC_REF] * inc), abs(values[LIMIT_SPD]) * inc, steep, steep)
@@ -151,13 +134,4 @@ class RobstrideDrive(MitDrive):
             axis.follow_current(values[IQ_REF], 0)
 
 
-@controller(api=1)
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive from its table in a rig.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(RobstrideTable, settings)
-    stream = context.stream()
-    return on_own_time(RobstrideDrive(table, stream), table.motor(stream).oscillator)
+build = drive_builder(RobstrideTable, RobstrideDrive, api=1)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
-from motorhil.emulators.api import REQUIRED, MotorTable, flags, number, whole, word
+from motorhil.emulators.api import REQUIRED, MotorTable, amount, flags, positive, whole, word
 
 NODE_ID_MAX: Final = 127
 
@@ -101,7 +101,7 @@ ROBSTRIDES: Final[dict[str, tuple[Firmware, Ranges]]] = {
 
 def _range(unit: str, of: str, plausible: tuple[float, float]) -> Any:
     doc = f"Range of {of}; absent: the model's."
-    return number(None, 0, 1e6, unit, doc, above=True, plausible=plausible)
+    return positive(None, unit, doc, plausible, most=1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +114,13 @@ class RangesTable(MotorTable):
     t_max_n_m: float | None = _range("N·m", "torques, either way", (0.1, 1000.0))
     kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness", (1.0, 1e5))
     kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping", (0.1, 1e3))
-    boot_up_s: float = number(
-        0.1, 0, 3600, "s", "From power-on to the first answer.", plausible=(0.01, 10.0)
+    boot_up_s: float = amount(
+        0.1, "s", "From power-on to the first answer.", (0.01, 10.0), most=3600
     )
-    watchdog_s: float | None = number(
-        *(None, 0, 3600, "s"),
-        "Longest time between commands; 0: unlimited; absent: the model's.",
-        plausible=(0.005, 10.0),
+    watchdog_s: float | None = amount(
+        *(None, "s", "Longest time between commands; 0: unlimited; absent: the model's."),
+        *((0.005, 10.0),),
+        most=3600,
     )
 
     def ranges(self, model: Ranges) -> Ranges:

@@ -23,7 +23,7 @@ Source: mjbots/moteus, docs/protocol and fw; mjbots/mjlib, multiplex/micro_serve
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.emulators.api import (
     BRS,
@@ -32,20 +32,19 @@ from motorhil.emulators.api import (
     FD_LENGTHS,
     NEVER_NS,
     RTR_FLAG,
-    Controller,
     ControllerContext,
     MotorDrive,
     MotorTable,
+    amount,
     can_id_of,
-    controller,
     data_of,
+    drive_builder,
     flag,
     flags,
     number,
-    on_own_time,
     pack,
     pack_fd,
-    read,
+    positive,
     whole,
 )
 from motorhil.emulators.moteus import registers as r
@@ -59,7 +58,7 @@ _MODES: Final = 16
 _MS: Final = 1_000_000
 _ENABLING_NS: Final = 5 * _MS
 _CALIBRATION_CYCLES: Final = 256
-_BOARD_C: Final = (-100.0, 300.0)
+_STAGE, _WATCHDOG, _TICK = "stage", "watchdog", "tick"  # times
 _CYCLES_S_MAX: Final = 30_000  # control cycles; the PWM may be faster
 _LEAST_VOLTAGE: Final = 4.0
 _FARTHEST: Final = 32768.0  # [rev]
@@ -88,60 +87,41 @@ class MoteusTable(MotorTable):
     abi_version: int = whole(0x010100, 0, 0x7FFFFFFF, "", "Register 101h.")
     register_map_version: int = whole(5, 0, 0x7FFFFFFF, "", "Register 102h.")
     poles: int = whole(14, 0, 255, "", "Poles of the motor; 0: not configured.")
-    rotor_to_output_ratio: float = number(
-        1.0, 0, _MANY, "", "Turns of the output per turn of the motor.", above=True
+    rotor_to_output_ratio: float = positive(
+        1.0, "", "Turns of the output per turn of the motor.", most=_MANY
     )
     output_encoder: bool = flag(
         False, "An absolute encoder at the output; without one, power-off loses whole turns."
     )
-    kp_n_m_rev: float | None = number(
-        None, 0, _MANY, "N·m/rev", "Gain kp; absent: of the rig's servo.", plausible=_GAINS
+    kp_n_m_rev: float | None = amount(
+        None, "N·m/rev", "Gain kp; absent: of the rig's servo.", _GAINS, most=_MANY
     )
-    kd_n_m_s_rev: float = number(
-        0.05, 0, _MANY, "N·m·s/rev", "Gain kd, with kp.", above=True, plausible=_GAINS
-    )
+    kd_n_m_s_rev: float = positive(0.05, "N·m·s/rev", "Gain kd, with kp.", _GAINS, most=_MANY)
     position_min_rev: float | str = number(
         -0.01, -_MANY, _MANY, "rev", "Least position; none: no limit.", word="none"
     )
     position_max_rev: float | str = number(
         0.01, -_MANY, _MANY, "rev", "Largest position; none: no limit.", word="none"
     )
-    default_velocity_limit_rev_s: float | None = number(
-        None, 0, _MANY, "rev/s", "Velocity limit if a command has none.", plausible=_SPEEDS
+    default_velocity_limit_rev_s: float | None = amount(
+        None, "rev/s", "Velocity limit if a command has none.", _SPEEDS, most=_MANY
     )
-    default_accel_limit_rev_s2: float | str = number(
-        50.0,
-        0,
-        _MANY,
-        "rev/s²",
-        "Likewise; none: of older firmware.",
-        word="none",
-        above=True,
-        plausible=_SPEEDS,
+    default_accel_limit_rev_s2: float | str = positive(
+        50.0, "rev/s²", "Likewise; none: of older firmware.", _SPEEDS, most=_MANY, word="none"
     )
-    default_timeout_s: float = number(
-        0.1, 0, 3600, "s", "The watchdog.", above=True, plausible=_TIMES
-    )
+    default_timeout_s: float = positive(0.1, "s", "The watchdog.", _TIMES, most=3600)
     timeout_mode: int = whole(
         ZERO_VELOCITY, 0, 15, "", "After it: 0 off, 10 to rest, 12 zero velocity, 15 brake."
     )
-    timeout_max_torque_n_m: float = number(
-        5.0, 0, _MANY, "N·m", "Torque in mode 12.", plausible=_GAINS
+    timeout_max_torque_n_m: float = amount(5.0, "N·m", "Torque in mode 12.", _GAINS, most=_MANY)
+    max_velocity_rev_s: float = positive(500.0, "rev/s", "Velocity limit.", _SPEEDS, most=_MANY)
+    max_current_a: float | None = amount(None, "A", "Absent: of the family.", _GAINS, most=_MANY)
+    max_voltage_v: float | None = amount(None, "V", "Absent: of the family.", _VOLTS, most=_MANY)
+    fault_position_error_rev: float | None = amount(
+        None, "rev", "Absent: no limit.", _SPEEDS, most=_MANY
     )
-    max_velocity_rev_s: float = number(
-        500.0, 0, _MANY, "rev/s", "Velocity limit.", above=True, plausible=_SPEEDS
-    )
-    max_current_a: float | None = number(
-        None, 0, _MANY, "A", "Absent: of the family.", plausible=_GAINS
-    )
-    max_voltage_v: float | None = number(
-        None, 0, _MANY, "V", "Absent: of the family.", plausible=_VOLTS
-    )
-    fault_position_error_rev: float | None = number(
-        None, 0, _MANY, "rev", "Absent: no limit.", plausible=_SPEEDS
-    )
-    fault_velocity_error_rev_s: float | None = number(
-        None, 0, _MANY, "rev/s", "Absent: no limit.", plausible=_SPEEDS
+    fault_velocity_error_rev_s: float | None = amount(
+        None, "rev/s", "Absent: no limit.", _SPEEDS, most=_MANY
     )
 
 
@@ -154,9 +134,11 @@ class MoteusController(MotorDrive):
         fault: the code of the fault; 0: none.
     """
 
-    def __init__(self, table: MoteusTable, stream: str) -> None:
+    INPUTS: ClassVar = {"board_temperature_c": (-100.0, 300.0)}
+
+    def __init__(self, table: MoteusTable, context: ControllerContext) -> None:
         self._table = table
-        motor = table.motor(stream)
+        motor = table.motor(context.stream())
         ratio = table.rotor_to_output_ratio
         gains = None if table.kp_n_m_rev is None else (table.kp_n_m_rev, table.kd_n_m_s_rev)
         self._servo = Servo(motor, ratio, gains)
@@ -184,8 +166,8 @@ class MoteusController(MotorDrive):
         self._stop_at = nan
         self._is_bounded = True
         self._is_torque_limited = False
-        self._stage_ns = self._watchdog_ns = self._tick_ns = NEVER_NS
-        self._now_ns = self._boot_ns = 0
+        self._watchdog_ns = NEVER_NS  # counts in some modes
+        self._boot_ns = 0
         self._heard, self._told = bytearray(), bytearray()
         self.axis.set_thresholds(over_voltage_v=self._volts, under_voltage_v=_LEAST_VOLTAGE)
 
@@ -193,19 +175,14 @@ class MoteusController(MotorDrive):
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
-        self._boot_ns = self._now_ns = now_ns
+        self._boot_ns = now_ns
         self._servo.restart(self._table.output_encoder)
         self._home = 2 if self._table.output_encoder else 1
         self._given, self._stored = r.defaults(), dict.fromkeys(r.STORED, 0.0)
 
-    def next_deadline_ns(self) -> int | None:
-        """Return the latest time of the next call of `expire` [ns]."""
-        due_ns = min(self._stage_ns, self._tick_ns)
-        if self.mode in (POSITION, WITHIN):
-            due_ns = min(due_ns, self._watchdog_ns)
-        if self.mode > FAULT and self._has_extras:
-            due_ns = min(due_ns, self.axis.event_ns(due_ns))
-        return None if due_ns >= NEVER_NS else due_ns
+    def watches(self) -> bool:
+        """Return whether the plant can cause a fault now."""
+        return self.mode > FAULT and self._has_extras
 
     def expire(self, now_ns: int) -> None:
         """Do what is due."""
@@ -213,23 +190,23 @@ class MoteusController(MotorDrive):
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time."""
-        self._now_ns = now_ns
-        self.axis.at(now_ns)
-        if now_ns >= self._stage_ns:
-            self._advance()
+        super().advance(now_ns)
+        stage_ns = self.due_ns.get(_STAGE, NEVER_NS)
+        if self.is_due(_STAGE):
+            self._advance(stage_ns)
         self._check()
-        if self.mode in (POSITION, WITHIN) and now_ns >= self._watchdog_ns:
+        if self.is_due(_WATCHDOG):
             self._time_out()
-        if now_ns >= self._tick_ns:
+        if self.is_due(_TICK):
             self._drive()
 
-    def _advance(self) -> None:
+    def _advance(self, stage_ns: int) -> None:
         """Go on from enabling to calibrating, and from there to the commanded mode."""
         if self.mode == ENABLING:
             self.mode = CALIBRATING
-            self._stage_ns += self._calibration_ns
+            self.due_ns[_STAGE] = stage_ns + self._calibration_ns
         else:
-            self.mode, self._stage_ns = CALIBRATED, NEVER_NS
+            self.mode = CALIBRATED
             self._enter(self._wanted)
 
     # --- faults
@@ -261,7 +238,7 @@ class MoteusController(MotorDrive):
 
     def _release(self) -> None:
         self._servo.release()
-        self._stage_ns = self._tick_ns = NEVER_NS
+        self.cancel_times()
 
     # --- modes
 
@@ -278,10 +255,10 @@ class MoteusController(MotorDrive):
         timeout_s = given[0x027] or self._table.default_timeout_s
         self._watchdog_ns = NEVER_NS
         if isfinite(timeout_s):
-            self._watchdog_ns = self._now_ns + max(0, round(timeout_s * 1e9))
+            self._watchdog_ns = self.now_ns + max(0, round(timeout_s * 1e9))
         if self.mode == STOPPED:
             self.mode = ENABLING
-            self._stage_ns = self._now_ns // _MS * _MS + _ENABLING_NS
+            self.due_ns[_STAGE] = self.now_ns // _MS * _MS + _ENABLING_NS
         elif self.mode >= CALIBRATED:
             self._enter(mode)
 
@@ -300,7 +277,8 @@ class MoteusController(MotorDrive):
                 self._fail(39)
                 return
         before, self.mode = self.mode, mode
-        self._tick_ns = NEVER_NS
+        self.due_ns[_TICK] = NEVER_NS
+        self.due_ns[_WATCHDOG] = self._watchdog_ns if mode in (POSITION, WITHIN) else NEVER_NS
         self._limit(given[0x025])
         servo.scale(given[0x023], given[0x024], given[0x02B])
         if not (isnan(given[0x02A]) and isnan(given[0x02C])):
@@ -334,7 +312,7 @@ class MoteusController(MotorDrive):
         """Act as `servo.timeout_mode` says."""
         kind = self._table.timeout_mode
         position, velocity = self._control() if self.mode == POSITION else (nan, 0.0)
-        self.mode, self._tick_ns = TIMEOUT, NEVER_NS
+        self.mode, self.due_ns[_TICK] = TIMEOUT, NEVER_NS
         self.warn(f"no command: timeout mode {kind}")
         if kind == ZERO_VELOCITY:
             self._damp(self._ordered[0x024])
@@ -386,12 +364,12 @@ class MoteusController(MotorDrive):
         self._follow(Trajectory(*start, target, final, speed, acceleration))
 
     def _follow(self, trajectory: Trajectory) -> None:
-        self._trajectory, self._began_ns = trajectory, self._now_ns
+        self._trajectory, self._began_ns = trajectory, self.now_ns
         self._drive()
 
     def _control(self, ahead_ns: int = 0) -> tuple[float, float]:
         """Return control position and velocity, within the bounds."""
-        time_s = (self._now_ns + ahead_ns - self._began_ns) / 1e9
+        time_s = (self.now_ns + ahead_ns - self._began_ns) / 1e9
         position, velocity = self._trajectory.at(time_s)
         low, high = self._bounds if self._is_bounded else (-inf, inf)
         if velocity > 0 and self._stop_at < high:
@@ -403,7 +381,7 @@ class MoteusController(MotorDrive):
         return max(low, min(high, position)), 0.0
 
     def _is_done(self) -> bool:
-        time_s = (self._now_ns - self._began_ns) / 1e9
+        time_s = (self.now_ns - self._began_ns) / 1e9
         is_there = time_s >= self._trajectory.duration_s
         return is_there and self._trajectory.at(time_s)[0] == self._control()[0]
 
@@ -411,7 +389,7 @@ class MoteusController(MotorDrive):
         """Give the motor its set-point for one period of the servo."""
         servo, feed = self._servo, self._ordered[0x022]
         feed = feed if isfinite(feed) else 0.0
-        next_ns = (self._now_ns // servo.tick_ns + 1) * servo.tick_ns
+        next_ns = (self.now_ns // servo.tick_ns + 1) * servo.tick_ns
         if self.mode == WITHIN:
             here = servo.position()
             low, high = self._ordered[0x040], self._ordered[0x041]
@@ -419,17 +397,17 @@ class MoteusController(MotorDrive):
                 servo.hold(low if here < low else high, 0.0, feed)
             else:
                 servo.push(feed / servo.constant)
-            self._tick_ns = next_ns
+            self.due_ns[_TICK] = next_ns
             return
         if self.mode == POSITION and not self._ordered[0x023] and not self._ordered[0x024]:
-            self._tick_ns = NEVER_NS
+            self.due_ns[_TICK] = NEVER_NS
             servo.push(feed / servo.constant)
             return
-        position, velocity = self._control(next_ns - self._now_ns)
+        position, velocity = self._control(next_ns - self.now_ns)
         servo.hold(position, velocity, feed)
-        time_s = (self._now_ns - self._began_ns) / 1e9
+        time_s = (self.now_ns - self._began_ns) / 1e9
         goes_on = time_s < self._trajectory.duration_s or self._trajectory.final != 0.0
-        self._tick_ns = next_ns if goes_on else NEVER_NS
+        self.due_ns[_TICK] = next_ns if goes_on else NEVER_NS
 
     # --- frames
 
@@ -630,7 +608,7 @@ class MoteusController(MotorDrive):
         values.update({0x038: control, 0x039: control_v, 0x03B: error, 0x03C: error_v})
         values[0x03D] = torque - demand
         values.update({0x050: position, 0x051: velocity, 0x058: 3, 0x158: 1})
-        values.update({0x070: (self._now_ns - self._boot_ns) // _MS, 0x073: nan, 0x075: nan})
+        values.update({0x070: (self.now_ns - self._boot_ns) // _MS, 0x073: nan, 0x075: nan})
         return values
 
     def _limiting(self) -> int:
@@ -638,7 +616,7 @@ class MoteusController(MotorDrive):
         if self.mode not in (CURRENT, POSITION, TIMEOUT, ZERO_VELOCITY, WITHIN):
             return 0
         if self.mode == POSITION:
-            wanted = self._trajectory.at((self._now_ns - self._began_ns) / 1e9)[0]
+            wanted = self._trajectory.at((self.now_ns - self._began_ns) / 1e9)[0]
             if self._is_bounded and not self._bounds[0] <= wanted <= self._bounds[1]:
                 return 103
         if not self._servo.is_saturated():
@@ -647,19 +625,8 @@ class MoteusController(MotorDrive):
 
     # --- the rest of the interface
 
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Set the board's temperature [degC], or an input of every drive.
-
-        Raises:
-            ValueError: there is no such input, or the value is out of range.
-        """
-        if name != "board_temperature_c":
-            super().stimulate(name, value, now_ns)
-            return
-        low, high = _BOARD_C
-        if not low <= value <= high:
-            raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
-        self.advance(now_ns)
+    def set_input(self, name: str, value: float) -> None:
+        """Set the board's temperature [degC]."""
         self._board_c = value
         self._check()
 
@@ -695,13 +662,4 @@ def _is_beyond(error: float, limit: float | None) -> bool:
     return limit is not None and abs(error) > limit
 
 
-@controller(api=1)
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive from its table in a rig.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(MoteusTable, settings)
-    stream = context.stream()
-    return on_own_time(MoteusController(table, stream), table.motor(stream).oscillator)
+build = drive_builder(MoteusTable, MoteusController, api=1)

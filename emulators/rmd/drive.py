@@ -20,22 +20,19 @@ from struct import Struct
 from typing import Any, Final, final
 
 from motorhil.emulators.api import (
-    NEVER_NS,
     REQUIRED,
-    Controller,
     ControllerContext,
     MotorDrive,
     MotorTable,
+    amount,
     axis_of,
     can_id_of,
-    controller,
     data_of,
+    drive_builder,
     flags,
     ns,
-    number,
-    on_own_time,
     pack,
-    read,
+    positive,
     text,
     whole,
 )
@@ -59,6 +56,7 @@ _UNTIL_RESTART: Final = 0x0002 | 0x0010 | 0x0080
 _GAINS: Final = (1, 2, 4, 5, 7, 8, 9)
 _REPLIES: Final = (0x60, 0x61, 0x62, 0x92, 0x9A, 0x9C, 0x9D)
 _PULSES: Final = 16384  # of the encoder per turn of the motor
+_READY, _SILENT, _CLEAR, _REPORT = "ready", "silent", "clear", "report"  # times
 NONE, CURRENT, SPEED, POSITION = range(4)
 
 
@@ -68,11 +66,9 @@ class RmdTable(MotorTable):
     """The table of an RMD in a rig."""
 
     node_id: int = whole(REQUIRED, 1, 32, "", "Its ID.", example="1")
-    answer_s: float = number(
-        0.0005, 0, 1, "s", "From a request to its answer.", plausible=(1e-5, 0.1)
-    )
-    restart_s: float = number(
-        1.0, 0, 3600, "s", "From power-on or reset to the first answer.", plausible=(0.01, 60.0)
+    answer_s: float = amount(0.0005, "s", "From a request to its answer.", (1e-5, 0.1), most=1)
+    restart_s: float = amount(
+        1.0, "s", "From power-on or reset to the first answer.", (0.01, 60.0), most=3600
     )
     acceleration_dps_s: int = whole(
         *(10_000, 0, 60_000, "deg/s²", "The four accelerations in ROM; 0: as fast as possible."),
@@ -81,13 +77,11 @@ class RmdTable(MotorTable):
     interruption_ms: int = whole(
         *(0, 0, (1 << 32) - 1, "ms", "Interruption time in ROM; 0: off."), plausible=(5, 60_000)
     )
-    stall_deg: float = number(
-        *(30.0, 0, 1e6, "deg", "Following error of the output that is a stall."),
-        above=True,
-        plausible=(0.1, 360.0),
+    stall_deg: float = positive(
+        30.0, "deg", "Following error of the output that is a stall.", (0.1, 360.0), most=1e6
     )
-    fault_s: float = number(
-        0.1, 0, 3600, "s", "Duration of an injected fault of level 2.", plausible=(0.01, 60.0)
+    fault_s: float = amount(
+        0.1, "s", "Duration of an injected fault of level 2.", (0.01, 60.0), most=3600
     )
     model: str = text("X6V3", "Its model, at most 7 letters.", example='"X8S2V10"')
     date: int = whole(20220206, 0, 99991231, "", "Date of its software.")
@@ -113,8 +107,8 @@ class _Rom:
 class RmdController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
-    def __init__(self, settings: RmdTable, stream: str) -> None:
-        motor = settings.motor(stream)
+    def __init__(self, settings: RmdTable, context: ControllerContext) -> None:
+        motor = settings.motor(context.stream())
         plant = motor.plant
         self._settings = settings
         self._plant = plant
@@ -134,87 +128,66 @@ class RmdController(MotorDrive):
         self._rom = _Rom(settings.node_id, accelerations, gains, settings.interruption_ms)
         self._node = settings.node_id
         self._gains = dict(gains)
-        self._revision = self._mode = self._errors = 0
+        self._mode = self._errors = 0
         self._is_silenced = self._swallows = self._reports = False
         self._lost = 0  # increments of whole turns that were lost with the power
         self._offset = 0
-        self._now_ns = self._start_ns = 0
-        self._ready_ns = self._silent_ns = self._clear_ns = self._report_ns = NEVER_NS
+        self._start_ns = 0
         self._brake_is_open = False
         self._active: dict[int, int] = {}  # command: period [ns]
-        self._active_ns: dict[int, int] = {}
-        self._due: list[tuple[int, bytes]] = []
 
     # --- time
 
     def boot(self, now_ns: int) -> None:
-        """Begin anew with power."""
-        self._now_ns = now_ns
-        self._restart()
-
-    def _restart(self) -> None:
+        """Begin anew, with power or by a reset."""
         self._off()
-        now_ns = self._now_ns
-        self._ready_ns = now_ns + ns(self._settings.restart_s)
+        self.cancel_times()
+        self.due_ns[_READY] = now_ns + ns(self._settings.restart_s)
         self._start_ns = now_ns
-        self._silent_ns = self._clear_ns = self._report_ns = NEVER_NS
         self._errors = 0
         self._is_silenced = self._swallows = self._reports = self._brake_is_open = False
-        self._active, self._active_ns, self._due = {}, {}, []
+        self._active = {}
         self._gains, self._offset = dict(self._rom.gains), self._rom.offset
         if not self._rom.keeps_turns:
-            self._lost = (
-                self.axis.count() // round(self._inc_deg * 360) * round(self._inc_deg * 360)
-            )
+            turn = round(self._inc_deg * 360)
+            self._lost = self.axis.count() // turn * turn
         if self._node != self._rom.node_id:
             self._node = self._rom.node_id
-            self._revision += 1
+            self.revision += 1
 
-    def next_deadline_ns(self) -> int | None:
-        """Return the latest time of the next call of `expire` [ns]."""
-        if not self.is_powered:
-            return None
-        due_ns = min(self._ready_ns, self._silent_ns, self._clear_ns, self._report_ns)
-        due_ns = min((due_ns, *(one for one, _ in self._due), *self._active_ns.values()))
-        if self._watches or self._mode:
-            due_ns = min(due_ns, self.axis.event_ns(due_ns))
-        return None if due_ns >= NEVER_NS else due_ns
+    def watches(self) -> bool:
+        """Return True in a mode, or if the plant has limits."""
+        return self._watches or bool(self._mode)
 
     def expire(self, now_ns: int) -> None:
         """Do everything that is due at `now_ns`."""
         if not self.is_powered:
             return
-        self._at(now_ns)
-        if now_ns >= self._ready_ns:
-            self._ready_ns = NEVER_NS
+        self.advance(now_ns)
+        if self.is_due(_READY):
             self._hear()
-        if now_ns >= self._silent_ns:
+        if self.is_due(_SILENT):
             if not self._is_silenced:
                 self.warn("communication interrupted: the output is off")
             self._is_silenced = self._swallows = True
-            self._silent_ns = now_ns + _SECOND_NS
+            self.wake(_SILENT, _SECOND_NS)
             self._off()
             self.queue(pack(_ANSWER + self._node, b"\xf1" + bytes(7)))
-        if now_ns >= self._clear_ns:
-            self._clear_ns = NEVER_NS
+        if self.is_due(_CLEAR):
             self._errors &= _UNTIL_RESTART
             self._check_causes()
-        if now_ns >= self._report_ns:
-            self._report_ns = now_ns + _ERROR_NS if self._errors else NEVER_NS
-            if self._errors:
-                self._answer(self._status_1(b"\x9a"))
-        for command, due_ns in self._active_ns.items():
-            if now_ns >= due_ns:
-                self._active_ns[command] = now_ns + self._active[command]
-                self._answer(_READS[command](self, bytes((command,)) + bytes(7)))
-        for due_ns, frame in self._due:
-            if due_ns <= now_ns:
-                self.queue(frame)
-        self._due = [one for one in self._due if one[0] > now_ns]
+        if self.is_due(_REPORT) and self._errors:
+            self.wake(_REPORT, _ERROR_NS)
+            self._answer(self.status_1(b"\x9a"))
+        for command, period_ns in self._active.items():
+            if self.is_due(command):
+                self.wake(command, period_ns)
+                self._answer(self._read(bytes((command,)) + bytes(7)))
+        self.queue_due()
 
-    def _at(self, now_ns: int) -> None:
-        self._now_ns = now_ns
-        self.axis.at(now_ns)
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time."""
+        super().advance(now_ns)
         self._check_causes()
 
     def _check_causes(self) -> None:
@@ -227,11 +200,11 @@ class RmdController(MotorDrive):
         if not self._errors & error:
             self.note("error", f"fault {error:04X}h")
             if self._reports:
-                self._report_ns = self._now_ns + _ERROR_NS
+                self.wake(_REPORT, _ERROR_NS)
         self._errors |= error
         self._off()
         if error & ~_UNTIL_RESTART:
-            self._clear_ns = self._now_ns + duration_ns
+            self.wake(_CLEAR, duration_ns)
 
     def _off(self) -> None:
         self._mode = NONE
@@ -243,11 +216,11 @@ class RmdController(MotorDrive):
         """Handle a frame from the bus."""
         can_id, request = can_id_of(data), data_of(data)
         is_all = can_id in (_ALL, _SETTING)
-        if not self.is_powered or self._ready_ns != NEVER_NS:
+        if not self.is_powered or _READY in self.due_ns:
             return
         if can_id != _REQUEST + self._node and not (is_all and not self._rom.is_filtered):
             return
-        self._at(now_ns)
+        self.advance(now_ns)
         self._hear()
         if len(request) != 8:
             self.warn(
@@ -263,7 +236,7 @@ class RmdController(MotorDrive):
             return
         command = request[0]
         if command in _READS and command not in self._active:
-            self._answer(_READS[command](self, request))
+            self._answer(self._read(request))
         elif command in _WRITES:
             answer = _WRITES[command](self, request)
             if answer is not None:
@@ -274,12 +247,11 @@ class RmdController(MotorDrive):
     def _hear(self) -> None:
         """Begin the interruption time anew."""
         self._is_silenced = False
-        wait_ns = self._rom.interruption_ms * 1_000_000
-        self._silent_ns = self._now_ns + wait_ns if wait_ns else NEVER_NS
+        self.wake(_SILENT, self._rom.interruption_ms * 1_000_000)
 
     def _answer(self, data: bytes, can_id: int | None = None) -> None:
         frame = pack(_ANSWER + self._node if can_id is None else can_id, data)
-        self._due.append((self._now_ns + ns(self._settings.answer_s), frame))
+        self.queue_at(frame, self.now_ns + ns(self._settings.answer_s))
 
     def _set_id(self, request: bytes) -> None:
         if request[0] != 0x79:
@@ -304,24 +276,28 @@ class RmdController(MotorDrive):
     def _temperature(self) -> int:
         return max(-128, min(127, int(self.axis.winding_temperature_c())))
 
-    def _status_1(self, request: bytes) -> bytes:
+    def status_1(self, request: bytes) -> bytes:
+        """Answer with temperature, voltage and errors (9Ah)."""
         told = self._temperature().to_bytes(1, "little", signed=True)
         volts = int(self.axis.dc_link_v() * 10).to_bytes(2, "little")
         is_open = bytes((self._brake_is_open or self._mode != NONE,))
         return request[:1] + told + b"\0" + is_open + volts + self._errors.to_bytes(2, "little")
 
-    def _status_2(self, request: bytes) -> bytes:
+    def status_2(self, request: bytes) -> bytes:
+        """Answer with temperature, current, speed and angle (9Ch)."""
         speed = self.axis.velocity_inc_s() / self._inc_deg
         amps = self.axis.current_a() * 100
         values = (_short(value) for value in (amps, speed, self._centidegrees() / 100))
         return _MOTION.pack(request[0], self._temperature(), *values)
 
-    def _status_3(self, request: bytes) -> bytes:
+    def status_3(self, request: bytes) -> bytes:
+        """Answer with temperature and phase currents (9Dh)."""
         amps = self.axis.current_a() * 100
         phases = (_short(share * amps) for share in (1.0, -0.5, -0.5))
         return _MOTION.pack(request[0], self._temperature(), *phases)
 
-    def _encoder(self, request: bytes) -> bytes:
+    def encoder(self, request: bytes) -> bytes:
+        """Answer with the single-turn encoder (90h)."""
         raw = self._pulses_now() % _PULSES
         offset = self._offset % _PULSES
         told = ((raw - offset) % _PULSES, raw, offset)
@@ -339,7 +315,7 @@ class RmdController(MotorDrive):
             self.axis.apply_current(
                 int.from_bytes(request[4:6], "little", signed=True) / 100, _AT_ONCE
             )
-        return self._status_2(request)
+        return self.status_2(request)
 
     def speed(self, request: bytes) -> bytes:
         """Ramp to a speed (A2h)."""
@@ -349,19 +325,19 @@ class RmdController(MotorDrive):
             wanted = _LAST.unpack(request)[0] / 100 * self._inc_deg
             self.axis.set_gains(self._profiled)
             self.axis.run_at(wanted, faster, slower)
-        return self._status_2(request)
+        return self.status_2(request)
 
     def position(self, request: bytes) -> bytes:
         """Move to an angle (A4h), by a trapezoid, or directly if its acceleration is 0."""
         dps, target = _SPEEDS.unpack(request)
         self._go_to(dps, target)
-        return self._status_2(request)
+        return self.status_2(request)
 
     def increment(self, request: bytes) -> bytes:
         """Move by an angle from the present position (A8h)."""
         dps, way = _SPEEDS.unpack(request)
         self._go_to(dps, self._centidegrees() + way)
-        return self._status_2(request)
+        return self.status_2(request)
 
     def single_turn(self, request: bytes) -> bytes:
         """Move within one turn (A6h): 0 clockwise, 1 counter-clockwise; in single-turn mode."""
@@ -372,7 +348,7 @@ class RmdController(MotorDrive):
             here = self._centidegrees()
             way = (target - here) % 36_000
             self._go_to(dps, here + (way - 36_000 if request[1] and way else way))
-        status = self._status_2(request)
+        status = self.status_2(request)
         return status[:6] + (self._pulses_now() & 0xFFFF).to_bytes(2, "little")
 
     def _go_to(self, dps: int, target: int) -> None:
@@ -414,7 +390,7 @@ class RmdController(MotorDrive):
 
     def reset(self, request: bytes) -> None:
         """Restart without an answer (76h)."""
-        self._restart()
+        self.boot(self.now_ns)
 
     def brake(self, request: bytes) -> bytes:
         """Release (77h) or lock (78h) the brake, which is a mere flag here."""
@@ -465,10 +441,10 @@ class RmdController(MotorDrive):
         """Send an answer by itself (B6h), instead of when it is asked."""
         command, period = request[1], int.from_bytes(request[3:5], "little")
         self._active.pop(command, None)
-        self._active_ns.pop(command, None)
+        self.due_ns.pop(command, None)
         if request[2] and period and command in _REPLIES:
             self._active[command] = period * 10_000_000
-            self._active_ns[command] = self._now_ns + self._active[command]
+            self.wake(command, self._active[command])
 
     def control(self, request: bytes) -> bytes:
         """Control a function (20h)."""
@@ -479,7 +455,7 @@ class RmdController(MotorDrive):
             self._write(is_filtered=bool(value))
         elif index == 3:
             self._reports = bool(value)
-            self._report_ns = self._now_ns + _ERROR_NS if value and self._errors else NEVER_NS
+            self.wake(_REPORT, _ERROR_NS if value and self._errors else 0)
         elif index == 4:
             self._write(keeps_turns=bool(value))
         elif index == 5 and 1 <= value <= 32:
@@ -490,10 +466,6 @@ class RmdController(MotorDrive):
         return request
 
     # --- physical inputs, and the rest of the interface
-
-    def advance(self, now_ns: int) -> None:
-        """Update the drive to this time."""
-        self._at(now_ns)
 
     def inject(self, fault: int) -> None:
         """Cause faults, by their bits."""
@@ -515,53 +487,36 @@ class RmdController(MotorDrive):
         """Return the identifiers of its requests, of those to all, and of the setting of IDs."""
         return [_REQUEST + self._node, _ALL, _SETTING]
 
-    def identifiers_revision(self) -> int:
-        """Return a number that grows when the ID changes."""
-        return self._revision
-
     # --- reading
 
-    def read_number(self, request: bytes) -> bytes:
-        """Answer a request for one number in the last four bytes."""
-        command, index = request[0], request[1]
-        if command == 0x42:
-            return self._plain(request, self._rom.acceleration[index] if index < 4 else 0)
-        raw = self._pulses_now()
-        values = {
+    def _read(self, request: bytes) -> bytes:
+        """Answer a request that only reads."""
+        command, index, raw = request[0], request[1], self._pulses_now()
+        if command in _STATUSES:
+            return _STATUSES[command](self, request)
+        told = {
+            0x30: request[:4] + self._gains.get(index, bytes(4)),
+            0x70: request[:7] + bytes((self._mode,)),
+            0xB5: request[:1] + self._settings.model.encode()[:7].ljust(7, b"\0"),
+        }
+        numbers = {
+            0x42: self._rom.acceleration[index] if index < 4 else 0,
             0x60: raw - self._offset,
             0x61: raw,
             0x62: self._offset,
             0x92: self._centidegrees(),
             0x94: self._centidegrees() % 36_000 << 16,
-            0xB1: (self._now_ns - self._start_ns) // 1_000_000,
+            0xB1: (self.now_ns - self._start_ns) // 1_000_000,
             0xB2: self._settings.date,
         }
-        return self._plain(request, values[command])
+        return told.get(command) or self._plain(request, numbers[command])
 
-    def read_gain(self, request: bytes) -> bytes:
-        """Answer with a gain (30h)."""
-        return request[:4] + self._gains.get(request[1], bytes(4))
-
-    def read_other(self, request: bytes) -> bytes:
-        """Answer with the mode (70h), the power (71h) or the model (B5h)."""
-        if request[0] == 0x70:
-            return request[:7] + bytes((self._mode,))
-        if request[0] == 0xB5:
-            return request[:1] + self._settings.model.encode()[:7].ljust(7, b"\0")
+    def power(self, request: bytes) -> bytes:
+        """Answer with the electrical power (71h)."""
         speed_rad_s = self.axis.velocity_inc_s() / self._plant.increments_per_rad()
         amps, back = self.axis.current_a(), self._plant.torque_constant_n_m_a * speed_rad_s
         watts = abs(amps * (back + amps * self._plant.resistance_ohm))
         return request[:6] + min(0xFFFF, int(watts * 10)).to_bytes(2, "little")
-
-    def read_status(self, request: bytes) -> bytes:
-        """Answer with a status (9Ah, 9Ch, 9Dh) or the single-turn encoder (90h)."""
-        told = {
-            0x90: self._encoder,
-            0x9A: self._status_1,
-            0x9C: self._status_2,
-            0x9D: self._status_3,
-        }
-        return told[request[0]](request)
 
 
 def _short(value: float) -> int:
@@ -569,11 +524,16 @@ def _short(value: float) -> int:
     return int(max(-32768.0, min(32767.0, value)))
 
 
-_READS: Final[dict[int, Callable[[RmdController, bytes], bytes]]] = {
-    0x30: RmdController.read_gain,
-    **dict.fromkeys((0x42, 0x60, 0x61, 0x62, 0x92, 0x94, 0xB1, 0xB2), RmdController.read_number),
-    **dict.fromkeys((0x70, 0x71, 0xB5), RmdController.read_other),
-    **dict.fromkeys((0x90, 0x9A, 0x9C, 0x9D), RmdController.read_status),
+_READS: Final = (
+    *(0x30, 0x42, 0x60, 0x61, 0x62, 0x70, 0x71, 0x90, 0x92, 0x94, 0x9A, 0x9C, 0x9D),
+    *(0xB1, 0xB2, 0xB5),
+)
+_STATUSES: Final[dict[int, Callable[[RmdController, bytes], bytes]]] = {
+    0x71: RmdController.power,
+    0x90: RmdController.encoder,
+    0x9A: RmdController.status_1,
+    0x9C: RmdController.status_2,
+    0x9D: RmdController.status_3,
 }
 _WRITES: Final[dict[int, Callable[[RmdController, bytes], bytes | None]]] = {
     0x20: RmdController.control,
@@ -597,13 +557,4 @@ _WRITES: Final[dict[int, Callable[[RmdController, bytes], bytes | None]]] = {
 }
 
 
-@controller(api=1)
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive from its table in a rig.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(RmdTable, settings)
-    stream = context.stream()
-    return on_own_time(RmdController(table, stream), table.motor(stream).oscillator)
+build = drive_builder(RmdTable, RmdController, api=1)

@@ -31,21 +31,19 @@ from typing import Final, final
 
 from motorhil.emulators.api import (
     EFF_FLAG,
-    NEVER_NS,
     REQUIRED,
-    Controller,
     ControllerContext,
     MotorDrive,
     MotorTable,
+    amount,
     axis_of,
     can_id_of,
-    controller,
     data_of,
+    drive_builder,
     flags,
     ns,
     number,
-    on_own_time,
-    read,
+    positive,
     text,
     whole,
 )
@@ -70,7 +68,11 @@ _FAULT_MAX: Final = 33
 _AT_ONCE: Final = 1e300  # [A/s]
 _RATE_HZ: Final = (1.0, 1000.0)
 _CURRENT_A: Final = (0.01, 1000.0)
+_TIME_S: Final = (0.01, 60.0)
+_VOLTAGE_V: Final = (1.0, 1000.0)
 _STATUS: Final = (9, 14, 15, 16, 27, 58)
+_BOOT, _TIMEOUT, _DEAF, _SPEED = "boot", "timeout", "deaf", "speed"  # times
+_STATUS_SETS: Final = ("status 1", "status 2")
 
 
 @final
@@ -85,60 +87,49 @@ class VescTable(MotorTable):
     status_rate_1_hz: int = whole(50, 0, 10_000, "Hz", "Rate 1; 0: never.", plausible=_RATE_HZ)
     status_2: int = whole(0, 0, 63, "", "Status frames at rate 2.")
     status_rate_2_hz: int = whole(5, 0, 10_000, "Hz", "Rate 2; 0: never.", plausible=_RATE_HZ)
-    timeout_s: float = number(
-        *(1.0, 0, 1e6, "s", "Time without a command until it releases the motor; 0: never."),
-        plausible=(0.01, 60.0),
+    timeout_s: float = amount(
+        *(1.0, "s", "Time without a command until it releases the motor; 0: never.", _TIME_S),
+        most=1e6,
     )
-    timeout_brake_a: float = number(
-        0.0, 0, 1e4, "A", "Brake current after this time.", plausible=_CURRENT_A
+    timeout_brake_a: float = amount(
+        0.0, "A", "Brake current after this time.", _CURRENT_A, most=1e4
     )
-    fault_stop_s: float = number(
-        0.5, 0, 1e6, "s", "Time after which a fault clears itself.", plausible=(0.01, 60.0)
+    fault_stop_s: float = amount(
+        0.5, "s", "Time after which a fault clears itself.", _TIME_S, most=1e6
     )
     pole_pairs: int = whole(7, 1, 1000, "", "ERPM per rpm.")
-    erpm_min: float = number(900.0, 0, 1e9, "", "No speed control below this ERPM.")
-    erpm_max: float = number(100_000.0, 0, 1e9, "", "Limit of the speed in ERPM.", above=True)
-    erpm_ramp_s: float = number(
-        *(25_000.0, 0, 1e12, "1/s", "Change of ERPM per second."),
-        above=True,
-        plausible=(100.0, 1e7),
+    erpm_min: float = amount(900.0, "", "No speed control below this ERPM.", most=1e9)
+    erpm_max: float = positive(100_000.0, "", "Limit of the speed in ERPM.", most=1e9)
+    erpm_ramp_s: float = positive(
+        25_000.0, "1/s", "Change of ERPM per second.", (100.0, 1e7), most=1e12
     )
-    current_max_a: float = number(
-        60.0, 0, 1e4, "A", "Motor current limit, at most the plant's.", plausible=_CURRENT_A
+    current_max_a: float = amount(
+        60.0, "A", "Motor current limit, at most the plant's.", _CURRENT_A, most=1e4
     )
-    current_brake_max_a: float = number(
-        60.0, 0, 1e4, "A", "The same while braking.", plausible=_CURRENT_A
+    current_brake_max_a: float = amount(60.0, "A", "The same while braking.", _CURRENT_A, most=1e4)
+    current_min_a: float = amount(
+        0.05, "A", "A smaller current releases the motor.", (1e-3, 10.0), most=1e4
     )
-    current_min_a: float = number(
-        0.05, 0, 1e4, "A", "A smaller current releases the motor.", plausible=(1e-3, 10.0)
+    duty_min: float = amount(0.005, "", "A smaller duty cycle releases the motor.", most=1)
+    duty_max: float = positive(0.95, "", "Limit of the duty cycle.", most=1)
+    duty_ramp_s: float = positive(20.0, "1/s", "Change of duty per second.", (0.1, 1e3), most=1e9)
+    position_kp: float = amount(
+        0.025, "1/deg", "Share of current_max_a per angle error.", (1e-5, 100.0), most=1e6
     )
-    duty_min: float = number(0.005, 0, 1, "", "A smaller duty cycle releases the motor.")
-    duty_max: float = number(0.95, 0, 1, "", "Limit of the duty cycle.", above=True)
-    duty_ramp_s: float = number(
-        20.0, 0, 1e9, "1/s", "Change of duty per second.", above=True, plausible=(0.1, 1000.0)
-    )
-    position_kp: float = number(
-        *(0.025, 0, 1e6, "1/deg", "Share of current_max_a per angle error."),
-        plausible=(1e-5, 100.0),
-    )
-    position_kd: float = number(
-        *(0.00035, 0, 1e6, "s/deg", "Share of current_max_a per angular velocity."),
-        above=True,
-        plausible=(1e-7, 1.0),
+    position_kd: float = positive(
+        0.00035, "s/deg", "Share of current_max_a per angular velocity.", (1e-7, 1.0), most=1e6
     )
     encoder_turns: int = whole(
         1, 1, 1_000_000, "", "Turns of the motor in one of its encoder; known at power-on."
     )
-    position_divider: float = number(
-        1.0, 0, 1e6, "", "Turns of the encoder in 360 degrees of position.", above=True
+    position_divider: float = positive(
+        1.0, "", "Turns of the encoder in 360 degrees of position.", most=1e6
     )
-    voltage_min_v: float = number(
-        *(8.0, 0, 1e6, "V", "Fault 2, under voltage, below; needs a DC link."),
-        plausible=(1.0, 1000.0),
+    voltage_min_v: float = amount(
+        8.0, "V", "Fault 2, under voltage, below; needs a DC link.", _VOLTAGE_V, most=1e6
     )
-    voltage_max_v: float = number(
-        *(57.0, 0, 1e6, "V", "Fault 1, over voltage, above; needs a DC link."),
-        plausible=(1.0, 1000.0),
+    voltage_max_v: float = amount(
+        57.0, "V", "Fault 1, over voltage, above; needs a DC link.", _VOLTAGE_V, most=1e6
     )
     temperature_max_c: float = number(
         *(100.0, -273, 1e6, "C", "Fault 6, over temperature of the motor, from here."),
@@ -165,8 +156,8 @@ class Mode(IntEnum):
 class VescController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
-    def __init__(self, settings: VescTable, stream: str) -> None:
-        motor = settings.motor(stream)
+    def __init__(self, settings: VescTable, context: ControllerContext) -> None:
+        motor = settings.motor(context.stream())
         self._settings = settings
         self._plant = motor.plant
         super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, _FAULT_MAX + 1))
@@ -207,68 +198,55 @@ class VescController(MotorDrive):
         self._duty = self._angle_offset = 0.0
         self._speed = (0.0, 0, 0.0)  # set-point of ERPM, at this time [ns], on the way to there
         self._zero = self._power_on = self._last = self._travelled = 0  # increments of the encoder
-        self._now_ns = self._start_ns = self._fed_ns = 0
-        self._boot_ns = self._timeout_ns = self._deaf_ns = self._speed_ns = NEVER_NS
-        self._status_ns = [NEVER_NS, NEVER_NS]
+        self._start_ns = 0
 
     # --- time
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
-        self._now_ns = self._start_ns = now_ns
+        self._start_ns = now_ns
         self._power_on = self._last = self.axis.count()
         self._zero = self._power_on // self._turn * self._turn
         self._travelled = self._fault = 0
         self._timed_out = False
         self._angle_offset = 0.0
-        self._boot_ns = now_ns + 500_000_000
-        self._status_ns = [now_ns, now_ns]
+        self.wake(_BOOT, 500_000_000)
+        self.due_ns.update(dict.fromkeys(_STATUS_SETS, now_ns))
         self._feed()
 
-    def next_deadline_ns(self) -> int | None:
-        """Return the latest time of the next call of `expire` [ns]."""
-        if not self.is_powered:
-            return None
-        due_ns = min(
-            *(self._boot_ns, self._timeout_ns, self._deaf_ns, self._speed_ns, *self._status_ns)
-        )
-        if self._watches:
-            due_ns = min(due_ns, self.axis.event_ns(due_ns))
-        return None if due_ns >= NEVER_NS else due_ns
+    def watches(self) -> bool:
+        """Return whether the plant has limits."""
+        return self._watches
 
     def expire(self, now_ns: int) -> None:
         """Do everything that is due at `now_ns`."""
         if not self.is_powered:
             return
-        self._at(now_ns)
-        if now_ns >= self._deaf_ns:
-            self._deaf_ns, self._fault = NEVER_NS, 0
+        self.advance(now_ns)
+        if self.is_due(_DEAF):
+            self._fault = 0
             self._check_cause()
             if self._timed_out:
                 self.brake(self._settings.timeout_brake_a)
-        if now_ns >= self._timeout_ns:
-            self._timeout_ns = NEVER_NS
+        if self.is_due(_TIMEOUT):
             self._timed_out = True
             self._release()
-            if self._deaf_ns == NEVER_NS:
+            if _DEAF not in self.due_ns:
                 self.brake(self._settings.timeout_brake_a)
-        if now_ns >= self._speed_ns:
+        if self.is_due(_SPEED):
             self._follow_speed()
-        if now_ns >= self._boot_ns:
-            self._boot_ns = NEVER_NS
+        if self.is_due(_BOOT):
             self._send(57, self._settings.node_id, self._settings.hardware.encode()[:8])
         s = self._settings
         sets = ((s.status_1, s.status_rate_1_hz), (s.status_2, s.status_rate_2_hz))
-        for i, (mask, rate) in enumerate(sets):
-            if now_ns >= self._status_ns[i]:
-                self._status_ns[i] = NEVER_NS
-                if mask and rate:
-                    self._status_ns[i] = now_ns + 10_000 // rate * _TICK_NS
-                    self._send_status(mask)
+        for name, (mask, rate) in zip(_STATUS_SETS, sets, strict=True):
+            if self.is_due(name) and mask and rate:
+                self.due_ns[name] = now_ns + 10_000 // rate * _TICK_NS
+                self._send_status(mask)
 
-    def _at(self, now_ns: int) -> None:
-        self._now_ns = now_ns
-        self.axis.at(now_ns)
+    def advance(self, now_ns: int) -> None:
+        """Update the drive to this time."""
+        super().advance(now_ns)
         count = self.axis.count()
         self._travelled += abs(count - self._last)
         self._last = count
@@ -282,11 +260,11 @@ class VescController(MotorDrive):
                     self._fail(fault)
 
     def _feed(self) -> None:
-        self._fed_ns, self._timed_out = self._now_ns, False
+        self._timed_out = False
         timeout_ns = ns(self._settings.timeout_s)
-        since_ns = self._fed_ns + timeout_ns - self._start_ns
+        since_ns = self.now_ns + timeout_ns - self._start_ns
         due_ns = self._start_ns + (since_ns // _CHECK_NS + 1) * _CHECK_NS
-        self._timeout_ns = due_ns if timeout_ns else NEVER_NS
+        self.wake(_TIMEOUT, due_ns - self.now_ns if timeout_ns else 0)
 
     def _fail(self, fault: int) -> None:
         if fault != self._fault:
@@ -296,7 +274,7 @@ class VescController(MotorDrive):
 
     def _be_deaf(self, duration_ns: int) -> None:
         self._release()
-        self._deaf_ns = self._now_ns + duration_ns
+        self.due_ns[_DEAF] = self.now_ns + duration_ns
 
     # --- measurements
 
@@ -369,7 +347,7 @@ class VescController(MotorDrive):
             _EVERYBODY,
         ):
             return
-        self._at(now_ns)
+        self.advance(now_ns)
         command = can_id >> 8 & 0xFF
         needed = _NEEDED.get(command, 0)
         if len(payload) < needed:
@@ -429,7 +407,7 @@ class VescController(MotorDrive):
             self._feed()
         elif kind == 29:
             self._release()
-            self.start(self._now_ns)
+            self.start(self.now_ns)
         elif kind == 159:
             self._be_deaf(int.from_bytes(rest[:2], "big") * 1_000_000)
         else:
@@ -459,7 +437,7 @@ class VescController(MotorDrive):
 
     def _command(self, mode: "_Mode", scale: float, raw: int) -> None:
         self._feed()
-        if self._deaf_ns == NEVER_NS:
+        if _DEAF not in self.due_ns:
             mode(self, raw / scale)
 
     def _release(self) -> None:
@@ -474,7 +452,7 @@ class VescController(MotorDrive):
             self.axis.apply_current(0.0, _AT_ONCE)  # so that ramps start at the present speed
         if is_new:
             self._mode = mode
-            self._speed_ns = NEVER_NS
+            self.wake(_SPEED, 0)
             own = {Mode.DUTY: self._duty_gains, Mode.POSITION: self._position_gains}
             self.axis.set_gains(own.get(mode, self._gains))
             self._limit(self._limits_a[1])
@@ -496,9 +474,9 @@ class VescController(MotorDrive):
 
     def current_relative(self, share: float) -> None:
         """Drive this share of the current limit."""
-        duty = self._duty_now()
+        duty, (low, high) = self._duty_now(), self._limits_a
         against = abs(duty) >= _AGAINST and duty * share < 0.0
-        self.current(share * (-self._limits_a[0] if against else self._limits_a[1]))
+        self.current(share * (-low if against else high))
 
     def brake(self, amps: float) -> None:
         """Brake with this current [A], whatever its sign; it never drives."""
@@ -550,7 +528,7 @@ class VescController(MotorDrive):
         limit = self._settings.erpm_max
         is_new = self._enter(Mode.SPEED)
         start = self._erpm() if is_new else self._set_point()
-        self._speed = start, self._now_ns, max(-limit, min(limit, erpm))
+        self._speed = start, self.now_ns, max(-limit, min(limit, erpm))
         if is_new and abs(start) >= self._settings.erpm_min:
             self.axis.follow_velocity(start * self._inc_s, 0)
         elif is_new:
@@ -560,7 +538,7 @@ class VescController(MotorDrive):
     def _set_point(self) -> float:
         """Return the set-point of ERPM now, on its ramp."""
         start, since_ns, target = self._speed
-        way = self._settings.erpm_ramp_s * (self._now_ns - since_ns) / 1e9
+        way = self._settings.erpm_ramp_s * (self.now_ns - since_ns) / 1e9
         return min(target, start + way) if target > start else max(target, start - way)
 
     def _follow_speed(self) -> None:
@@ -581,20 +559,14 @@ class VescController(MotorDrive):
             if abs(target) < low or target * now < 0.0:
                 until = abs(now) - low
         tick_ns = 1 + int(self._settings.servo.tick_ns())
-        wait_ns = NEVER_NS if until is None else max(tick_ns, int(until / ramp * 1e9) + 1)
-        self._speed_ns = NEVER_NS if until is None else self._now_ns + wait_ns
+        self.wake(_SPEED, 0 if until is None else max(tick_ns, int(until / ramp * 1e9) + 1))
 
     # --- physical inputs, and the rest of the interface
 
     def go_dark(self) -> None:
         """Lose the power."""
         self._release()
-        self._boot_ns = self._timeout_ns = self._deaf_ns = NEVER_NS
-        self._status_ns = [NEVER_NS, NEVER_NS]
-
-    def advance(self, now_ns: int) -> None:
-        """Update the drive to this time."""
-        self._at(now_ns)
+        self.cancel_times()
 
     def inject(self, fault: int) -> None:
         """Cause a fault, which clears itself."""
@@ -645,13 +617,4 @@ _NEEDED: Final = {
 _COMMANDS: Final = (*_NEEDED, 19, 23, 24, 25, 26, 28, 29, 30, 31, 47, 56, 63)
 
 
-@controller(api=1)
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive from its table in a rig.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(VescTable, settings)
-    stream = context.stream()
-    return on_own_time(VescController(table, stream), table.motor(stream).oscillator)
+build = drive_builder(VescTable, VescController, api=1)

@@ -1,16 +1,26 @@
 """The adaptation API: all that a third party's adaptation may import, and enough.
 
 An adaptation derives from `Motor` (its hooks: `motorhil.motorapi.hooks`), contains a hardware
-object, and is built by a function that `adaptation` marks. On CAN, `CanDrive` does for the hardware
-object what every drive repeats; `SetpointStream` serves drives without a profile generator. On a
-line, `ExchangeLine` with a `Codec` asks and answers, `LineUnit` has the ownership of one drive, and
-`PolledMotor` follows a drive that makes its profiles and sends nothing by itself.
+object, and is built by a function that `adaptation` marks. On CAN, `CanHardware`, `CanMotor` and
+`CanBuilder` have all but protocol and units; `StreamedMotor` serves drives without a profile
+generator. On a line, `ExchangeLine` with a `Codec` asks and answers, `LineUnit` has the ownership
+of one drive, and `PolledMotor` follows a drive that makes its profiles and sends nothing by itself.
 
 `VERSION` grows when a name or a promise changes; the old name then stays for one release. Names of
 other modules of motorhil may change at any time.
 """
 
 from motorhil.motorapi.api.can_drive import CanDrive, SignOfLife, checked_node
+from motorhil.motorapi.api.can_hardware import CanHardware, Estimate, StreamedCanHardware
+from motorhil.motorapi.api.can_motor import (
+    CanBuilder,
+    CanMotor,
+    motor_turns,
+    output_sign,
+    require_here,
+    whole_steps,
+)
+from motorhil.motorapi.api.line_builder import LineBuilder
 from motorhil.motorapi.api.line_exchanges import (
     ByteLine,
     Codec,
@@ -58,7 +68,7 @@ from motorhil.motorapi.trajectory import (
     TrapezoidalTrajectory,
     asks_for_smoothness,
 )
-from motorhil.settings import REQUIRED, SettingError, number, text, whole, word
+from motorhil.settings import REQUIRED, SettingError, amount, number, positive, text, whole, word
 
 __all__ = [
     "BOOT_S",
@@ -66,17 +76,22 @@ __all__ = [
     "VERSION",
     "BoundFence",
     "ByteLine",
+    "CanBuilder",
     "CanDrive",
+    "CanHardware",
+    "CanMotor",
     "Codec",
     "ComplexTrajectory",
     "ControlMode",
     "ControlVariable",
     "DeadlineExceeded",
     "DeviceFault",
+    "Estimate",
     "Exchange",
     "ExchangeLine",
     "Fault",
     "LimitError",
+    "LineBuilder",
     "LineProtocolViolation",
     "LineUnit",
     "LinkError",
@@ -107,6 +122,7 @@ __all__ = [
     "Shared",
     "SignOfLife",
     "StateError",
+    "StreamedCanHardware",
     "StreamedMotion",
     "StreamedMotor",
     "SyncLevel",
@@ -117,15 +133,21 @@ __all__ = [
     "UnsupportedError",
     "UsageError",
     "adaptation",
+    "amount",
     "asks_for_smoothness",
     "can_stream",
     "checked_node",
     "demand_of",
+    "motor_turns",
     "number",
+    "output_sign",
+    "positive",
     "read_settings",
+    "require_here",
     "require_time",
     "text",
     "wait_until",
     "whole",
+    "whole_steps",
     "word",
 ]

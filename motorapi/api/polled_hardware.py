@@ -118,6 +118,7 @@ class PolledHardware(ABC, Generic[UnitT]):
         registers: as given.
         progress: the state of its motor.
         users: the number of motors built on it from settings; the last one closes it.
+        settings: those settings; empty for an object made by an application.
         STARTS_AT_ONCE: whether `trigger` sends one request, which `starts` a motion.
     """
 
@@ -127,6 +128,7 @@ class PolledHardware(ABC, Generic[UnitT]):
         self.registers: Final[UnitT] = registers
         self.progress: Final = PolledProgress()
         self.users = 0
+        self.settings: Mapping[str, object] = {}
         self._counts = 0.0  # per turn of the motor; 0: not read yet
         self._asked_at = (-1, 0)  # `standing` at that time
         self._fault_since_ns = 0

@@ -4,21 +4,19 @@ An adaptation derives its motor, and adds units, power and the reset of a fault.
 sends single set-points.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
+from motorhil.motorapi.api.can_motor import CanMotor
 from motorhil.motorapi.api.streamed_motion import can_stream, require_time
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import MotorBusyError
-from motorhil.motorapi.motor import Motor
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api.can_drive import CanDrive
     from motorhil.motorapi.api.streamed_motion import StreamedMotion
     from motorhil.motorapi.commands import Setpoint
-    from motorhil.motorapi.model import MotorModel
     from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.ownership.fencing import BoundFence
     from motorhil.motorapi.runtime.can_link import Transmission
@@ -69,39 +67,8 @@ class StreamedHardware(Protocol):
 HardwareT = TypeVar("HardwareT", bound=StreamedHardware)
 
 
-class StreamedMotor(Motor, Generic[HardwareT]):
-    """A logical motor whose motions the host streams; several may share one hardware object.
-
-    Args:
-        hardware: the hardware object.
-        model: the motor's constants.
-        units: units of position of the drive per unit of the model, signed.
-        name: its name in messages and records; None: the model's name and the drive's place.
-        on_close: called once when the motor is closed. The hardware object belongs to its creator.
-
-    Attributes:
-        hardware: the hardware object, with all abilities of the drive.
-    """
-
-    def __init__(
-        self,
-        hardware: HardwareT,
-        model: "MotorModel",
-        units: float,
-        *,
-        name: str | None = None,
-        on_close: Callable[[], None] | None = None,
-    ) -> None:
-        drive = hardware.drive
-        super().__init__(
-            name=name,
-            model=model,
-            runtime=drive.runtime,
-            physical=drive.physical,
-            on_close=on_close,
-        )
-        self.hardware: Final = hardware
-        self._units: Final = units
+class StreamedMotor(CanMotor[HardwareT]):
+    """A logical motor whose motions the host streams; see `CanMotor`."""
 
     def _scale(self, variable: ControlVariable) -> float:
         """Return units of the drive per unit of this variable."""
@@ -129,9 +96,6 @@ class StreamedMotor(Motor, Generic[HardwareT]):
     def _check_command(self, variable: ControlVariable, command: "Setpoint | Trajectory") -> None:
         if not can_stream(variable, command):
             super()._check_command(variable, command)
-
-    def _connect(self) -> None:
-        self.hardware.connect()
 
     def _command(self, motion: "Motion") -> None:
         require_time(self.name, motion)
@@ -183,7 +147,7 @@ class StreamedMotor(Motor, Generic[HardwareT]):
 
     def _open_low_level(self) -> HardwareT:
         self.hardware.motions.forget()
-        return self.hardware
+        return super()._open_low_level()
 
     def _close_low_level(self) -> None:
         self.hardware.forget()

@@ -88,6 +88,7 @@ INTERPRETED = {
         "traces/columns.py",
         "traces/digest.py",
         "traces/files.py",
+        "traces/layout.py",
         "traces/mcap/reader.py",
         "traces/mcap/records.py",
         "traces/mcap/recovery.py",

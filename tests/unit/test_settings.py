@@ -23,11 +23,13 @@ from motorhil.settings import (
     TableOf,
     TablesByKey,
     Text,
+    amount,
     check,
     declaration,
     flag,
     given,
     number,
+    positive,
     read,
     schema,
     setting,
@@ -120,6 +122,15 @@ def test_values_are_read_and_absent_ones_have_defaults():
     assert (settings.data, settings.inner, settings.ratio) == (b"\x01", InnerTable(speed=3.0), 0.5)
     assert isinstance(settings.inner.speed, float)
     assert set(given(OuterTable, {"count": 2})) == {"count"}
+
+
+def test_short_forms_declare_the_numbers_that_they_name():
+    assert positive(5.0, "ms", "Period.", (1.0, 50.0), most=1e3).metadata == (
+        number(5.0, 0, 1e3, "ms", "Period.", above=True, plausible=(1.0, 50.0)).metadata
+    )
+    assert amount(None, "A", "Current.", word="none").metadata == (
+        number(None, 0, unit="A", doc="Current.", word="none").metadata
+    )
 
 
 def test_error_of_an_inner_table_gets_the_outer_path_and_header():

@@ -8,9 +8,10 @@ Source: the maker's manual of Protocol 2.0.
 """
 
 from collections.abc import Callable
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Layout, Signal
 
 _HEADER: Final = b"\xff\xff\xfd\x00"
 _MARK: Final = _HEADER[:3]
@@ -33,38 +34,24 @@ _ERRORS: Final = (
 )
 
 
-@final
-class _Item(NamedTuple):
-    size: int
-    name: str
-    unit: str = ""
-    scale: float = 1.0
-
-
-_SPEED: Final = ("rpm", 15.625 * 60 / 4096)  # register unit: 15.625 counts/s
-_ITEMS: Final = {
-    **{0: _Item(2, "Model_Number"), 6: _Item(1, "Firmware_Version"), 7: _Item(1, "ID")},
-    **{8: _Item(1, "Baud_Rate"), 9: _Item(1, "Return_Delay_Time", "us", 2)},
-    **{10: _Item(1, "Drive_Mode"), 11: _Item(1, "Operating_Mode"), 12: _Item(1, "Secondary_ID")},
-    **{20: _Item(4, "Homing_Offset", "count"), 24: _Item(4, "Moving_Threshold", *_SPEED)},
-    **{31: _Item(1, "Temperature_Limit", "deg C"), 32: _Item(2, "Max_Voltage_Limit", "V", 0.1)},
-    **{34: _Item(2, "Min_Voltage_Limit", "V", 0.1), 36: _Item(2, "PWM_Limit")},
-    **{38: _Item(2, "Current_Limit"), 44: _Item(4, "Velocity_Limit", *_SPEED)},
-    **{48: _Item(4, "Max_Position_Limit", "count"), 52: _Item(4, "Min_Position_Limit", "count")},
-    **{60: _Item(1, "Startup_Configuration"), 63: _Item(1, "Shutdown")},
-    **{64: _Item(1, "Torque_Enable"), 65: _Item(1, "LED"), 68: _Item(1, "Status_Return_Level")},
-    **{69: _Item(1, "Registered_Instruction"), 70: _Item(1, "Hardware_Error_Status")},
-    **{98: _Item(1, "Bus_Watchdog"), 100: _Item(2, "Goal_PWM"), 102: _Item(2, "Goal_Current")},
-    **{104: _Item(4, "Goal_Velocity", *_SPEED)},
-    **{108: _Item(4, "Profile_Acceleration"), 112: _Item(4, "Profile_Velocity")},
-    **{116: _Item(4, "Goal_Position", "count"), 120: _Item(2, "Realtime_Tick", "ms")},
-    **{122: _Item(1, "Moving"), 123: _Item(1, "Moving_Status"), 124: _Item(2, "Present_PWM")},
-    **{126: _Item(2, "Present_Current"), 128: _Item(4, "Present_Velocity", *_SPEED)},
-    **{132: _Item(4, "Present_Position", "count"), 136: _Item(4, "Velocity_Trajectory", *_SPEED)},
-    **{140: _Item(4, "Position_Trajectory", "count")},
-    **{144: _Item(2, "Present_Input_Voltage", "V", 0.1)},
-    **{146: _Item(1, "Present_Temperature", "deg C"), 147: _Item(1, "Backup_Ready")},
-}
+_RPM: Final = "i32*0.2288818359375 rpm"  # 15.625 counts/s
+_LAYOUT: Final = Layout(
+    f"""
+    @0 Model_Number i16; @6 Firmware_Version u8; ID u8; Baud_Rate u8; Return_Delay_Time u8*2 us;
+    Drive_Mode u8; Operating_Mode u8; Secondary_ID u8; @20 Homing_Offset i32 count;
+    Moving_Threshold {_RPM}; @31 Temperature_Limit u8 deg C; Max_Voltage_Limit i16*0.1 V;
+    Min_Voltage_Limit i16*0.1 V; PWM_Limit i16; Current_Limit i16; @44 Velocity_Limit {_RPM};
+    Max_Position_Limit i32 count; Min_Position_Limit i32 count; @60 Startup_Configuration u8;
+    @63 Shutdown u8; Torque_Enable u8; LED u8; @68 Status_Return_Level u8;
+    Registered_Instruction u8; Hardware_Error_Status u8; @98 Bus_Watchdog u8; @100 Goal_PWM i16;
+    Goal_Current i16; Goal_Velocity {_RPM}; Profile_Acceleration i32; Profile_Velocity i32;
+    Goal_Position i32 count; Realtime_Tick i16 ms; Moving u8; Moving_Status u8; Present_PWM i16;
+    Present_Current i16; Present_Velocity {_RPM}; Present_Position i32 count;
+    Velocity_Trajectory {_RPM}; Position_Trajectory i32 count; Present_Input_Voltage i16*0.1 V;
+    Present_Temperature u8 deg C; Backup_Ready u8
+    """
+)
+_ITEMS: Final = _LAYOUT.items
 
 
 def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
@@ -188,8 +175,7 @@ def _values(address: int, data: bytes) -> list[Signal]:
             signals.append(Signal(f"Address_{address + at}", shown, ""))
             at = end
             continue
-        raw = int.from_bytes(data[at : at + item.size], "little", signed=item.size > 1)
-        value = raw if item.scale == 1.0 else raw * item.scale
+        value = _LAYOUT.value(item._replace(at=at), data)
         signals.append(Signal(item.name, value, item.unit))
         at += item.size
     return signals

@@ -14,6 +14,7 @@ from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.formats.modbus import Malformed, recorded_adu
+from motorhil.traces.layout import Signal as Signal
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.mcap.records import Channel
 from motorhil.traces.protobuf import Value, decode
@@ -58,15 +59,6 @@ _LOCK_WORDS: Final = {
     LockAction.TAKEN_OVER: "takes {motor} over",
     LockAction.LOST: "has lost {motor}",
 }
-
-
-@final
-class Signal(NamedTuple):
-    """A signal of a CAN message: its name, its value in the unit, or by name, and the unit."""
-
-    name: str
-    value: int | float | str
-    unit: str
 
 
 @final

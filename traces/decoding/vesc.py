@@ -9,53 +9,43 @@ from collections.abc import Callable
 from typing import Final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR, fields
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Layout, Signal, layouts
 
-_Layout = tuple[tuple[str, int, float, str], ...]  # name, bytes (< 0: signed), divisor, unit
-
-_A: Final = (("current", -4, 1e3, "A"),)
-_SHARE: Final = (("share", -4, 1e5, ""),)
-_LIMITS: Final = (("min", -4, 1e3, "A"), ("max", -4, 1e3, "A"))
-_COMMANDS: Final[dict[int, tuple[str, _Layout]]] = {
-    0: ("SET_DUTY", (("duty", -4, 1e5, ""),)),
-    1: ("SET_CURRENT", _A),
-    2: ("SET_CURRENT_BRAKE", _A),
-    3: ("SET_RPM", (("erpm", -4, 1, ""),)),
-    4: ("SET_POS", (("position", -4, 1e6, "deg"),)),
-    5: ("FILL_RX_BUFFER", (("offset", 1, 1, ""),)),
-    6: ("FILL_RX_BUFFER_LONG", (("offset", 2, 1, ""),)),
-    7: (
-        "PROCESS_RX_BUFFER",
-        (("from", 1, 1, ""), ("mode", 1, 1, ""), ("length", 2, 1, ""), ("crc", 2, 1, "")),
-    ),
-    8: ("PROCESS_SHORT_BUFFER", (("from", 1, 1, ""), ("mode", 1, 1, ""))),
-    9: ("STATUS", (("erpm", -4, 1, ""), ("current", -2, 10, "A"), ("duty", -2, 1e3, ""))),
-    10: ("SET_CURRENT_REL", _SHARE),
-    11: ("SET_CURRENT_BRAKE_REL", _SHARE),
-    12: ("SET_CURRENT_HANDBRAKE", _A),
-    13: ("SET_CURRENT_HANDBRAKE_REL", _SHARE),
-    14: ("STATUS_2", (("used", -4, 1e4, "Ah"), ("charged", -4, 1e4, "Ah"))),
-    15: ("STATUS_3", (("used", -4, 1e4, "Wh"), ("charged", -4, 1e4, "Wh"))),
-    16: (
-        "STATUS_4",
-        (
-            ("MOSFET temperature", -2, 10, "C"),
-            ("motor temperature", -2, 10, "C"),
-            ("input current", -2, 10, "A"),
-            ("position", -2, 50, "deg"),
-        ),
-    ),
-    17: ("PING", (("from", 1, 1, ""),)),
-    18: ("PONG", (("from", 1, 1, ""), ("hardware type", 1, 1, ""))),
-    21: ("CONF_CURRENT_LIMITS", _LIMITS),
-    22: ("CONF_STORE_CURRENT_LIMITS", _LIMITS),
-    27: ("STATUS_5", (("tachometer", -4, 1, ""), ("input voltage", -2, 10, "V"))),
-    31: ("SHUTDOWN", ()),
-    55: ("UPDATE_PID_POS_OFFSET", (("angle", -4, 1e4, "deg"), ("store", 1, 1, ""))),
-    56: ("POLL_ROTOR_POS", ()),
-    57: ("NOTIFY_BOOT", ()),
-    58: ("STATUS_6", tuple((name, -2, 1e3, "V") for name in ("ADC1", "ADC2", "ADC3", "PPM"))),
-}
+_COMMANDS: Final = layouts(
+    """
+0 SET_DUTY: duty i32/1e5
+1 SET_CURRENT: current i32/1e3 A
+2 SET_CURRENT_BRAKE: current i32/1e3 A
+3 SET_RPM: erpm i32
+4 SET_POS: position i32/1e6 deg
+5 FILL_RX_BUFFER: offset u8
+6 FILL_RX_BUFFER_LONG: offset u16
+7 PROCESS_RX_BUFFER: from u8; mode u8; length u16; crc u16
+8 PROCESS_SHORT_BUFFER: from u8; mode u8
+9 STATUS: erpm i32; current i16/10 A; duty i16/1e3
+10 SET_CURRENT_REL: share i32/1e5
+11 SET_CURRENT_BRAKE_REL: share i32/1e5
+12 SET_CURRENT_HANDBRAKE: current i32/1e3 A
+13 SET_CURRENT_HANDBRAKE_REL: share i32/1e5
+14 STATUS_2: used i32/1e4 Ah; charged i32/1e4 Ah
+15 STATUS_3: used i32/1e4 Wh; charged i32/1e4 Wh
+16 STATUS_4: MOSFET temperature i16/10 C; motor temperature i16/10 C; input current i16/10 A;
+  position i16/50 deg
+17 PING: from u8
+18 PONG: from u8; hardware type u8
+21 CONF_CURRENT_LIMITS: min i32/1e3 A; max i32/1e3 A
+22 CONF_STORE_CURRENT_LIMITS: min i32/1e3 A; max i32/1e3 A
+27 STATUS_5: tachometer i32; input voltage i16/10 V
+31 SHUTDOWN:
+55 UPDATE_PID_POS_OFFSET: angle i32/1e4 deg; store u8
+56 POLL_ROTOR_POS:
+57 NOTIFY_BOOT:
+58 STATUS_6: ADC1 i16/1e3 V; ADC2 i16/1e3 V; ADC3 i16/1e3 V; PPM i16/1e3 V
+""",
+    "big",
+)
+_POSITION: Final = Layout("position i32/1e5 deg", "big")
 _PACKETS: Final = {
     **{0: "FW_VERSION", 4: "GET_VALUES", 5: "SET_DUTY", 6: "SET_CURRENT", 7: "SET_CURRENT_BRAKE"},
     **{8: "SET_RPM", 9: "SET_POS", 10: "SET_HANDBRAKE", 29: "REBOOT", 30: "ALIVE"},
@@ -90,20 +80,14 @@ def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
         is_answer = command in _TO_SENDER and told.data[:1] == bytes((node_id,))
         if command not in _COMMANDS or not (is_own or is_answer):
             return None
-        name, layout = _COMMANDS[command]
+        name, (layout,) = _COMMANDS[command]
         if number != node_id:
             name += " to all" if number == _EVERYBODY else f" to {number}"
-        needed = sum(abs(size) for _, size, _, _ in layout)
-        if len(told.data) < needed:
-            return BusMessage(name, problem=f"{len(told.data)} bytes; expected {needed}")
-        signals, at = [], 0
+        if len(told.data) < layout.size:
+            return BusMessage(name, problem=f"{len(told.data)} bytes; expected {layout.size}")
         if command == 56 and len(told.data) >= 4:  # an answer; the request is empty
-            layout = (("position", -4, 1e5, "deg"),)
-        for signal, size, scale, unit in layout:
-            raw = told.data[at : at + abs(size)]
-            at += abs(size)
-            value = int.from_bytes(raw, "big", signed=size < 0)
-            signals.append(Signal(signal, value if scale == 1 else value / scale, unit))
+            layout = _POSITION
+        signals = [*layout.signals(told.data)]
         if command == 8:
             signals += _packet(told.data[2:])
         elif command == 57:

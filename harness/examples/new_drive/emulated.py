@@ -10,21 +10,19 @@ from struct import Struct
 from typing import Final, final
 
 from motorhil.emulators.api import (
-    NEVER_NS,
     REQUIRED,
-    Controller,
     ControllerContext,
     MotorDrive,
     MotorTable,
+    amount,
     axis_of,
     can_id_of,
-    controller,
     data_of,
+    drive_builder,
     flags,
     number,
-    on_own_time,
     pack,
-    read,
+    positive,
     whole,
 )
 
@@ -45,51 +43,43 @@ class DriveTable(MotorTable):
     # 2. Settings of the drive: what its maker's tool can set. `node_id` is the rig's own name for
     # an address on CAN; whatever its maker calls it, keep this name here and in `host.MotorTable`.
     node_id: int = whole(REQUIRED, 0, 0x3F, "", "Its node-ID.", example="1")
-    boot_up_s: float = number(0.1, 0, 3600, "s", "From power-on to the first status.")
+    boot_up_s: float = amount(0.1, "s", "From power-on to the first status.", most=3600)
     period_s: float = number(0.01, 1e-4, 3600, "s", "Period of status and estimate.")
-    following_error_rev: float = number(
-        1.0, 0, 1e6, "rev", "It switches off if its motor is further behind.", above=True
+    following_error_rev: float = positive(
+        1.0, "rev", "It switches off if its motor is further behind.", most=1e6
     )
-    watchdog_s: float = number(0.1, 0, 3600, "s", "It stops without its host; 0: never.")
+    watchdog_s: float = amount(0.1, "s", "It stops without its host; 0: never.", most=3600)
 
 
 @final
 class MydriveController(MotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
-    def __init__(self, settings: DriveTable, stream: str) -> None:
-        motor = settings.motor(stream)
+    def __init__(self, settings: DriveTable, context: ControllerContext) -> None:
+        motor = settings.motor(context.stream())
         self._settings = settings
         super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, 1 << 16))
         self._inc = motor.plant.encoder_increments_rev
         self._is_on = False
         self._count = self._fault = 0
         self._velocity = self._faster = self._slower = 1.0  # [turns/s, turns/s²]
-        self._next_ns = self._watchdog_ns = NEVER_NS
 
-    # 3. Time: what the drive does by itself, and when.
+    # 3. Time: what the drive does by itself, and when. `due_ns` has its times by name.
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
         self.axis.set_position(self.axis.count())
-        self._next_ns = now_ns + round(self._settings.boot_up_s * 1e9)
-
-    def next_deadline_ns(self) -> int | None:
-        """Return the latest time of the next call of `expire` [ns]."""
-        due_ns = min(self._next_ns, self._watchdog_ns)
-        return None if due_ns == NEVER_NS else due_ns
+        self.due_ns["status"] = now_ns + round(self._settings.boot_up_s * 1e9)
 
     def expire(self, now_ns: int) -> None:
         """Send status and estimate; stop without a host."""
-        if now_ns >= self._watchdog_ns:
-            self._watchdog_ns = NEVER_NS
-            self.axis.at(now_ns)
+        self.advance(now_ns)
+        if self.is_due("watchdog"):
             self._fault = 3
             self.axis.ramp_to_rest(self._slower * self._inc)
-        if now_ns < self._next_ns:
+        if not self.is_due("status"):
             return
-        self._next_ns += round(self._settings.period_s * 1e9)
-        self.axis.at(now_ns)
+        self.due_ns["status"] = now_ns + round(self._settings.period_s * 1e9)
         axis = self.axis
         behind = abs(axis.following_error_inc()) / self._inc
         if self._is_on and not self._fault and behind > self._settings.following_error_rev:
@@ -110,13 +100,13 @@ class MydriveController(MotorDrive):
         """Handle a frame from the bus."""
         if not self.is_powered:
             return
-        self.axis.at(now_ns)
-        if self._watchdog_ns != NEVER_NS:
-            self._watchdog_ns = self._patience_ns(now_ns)
+        self.advance(now_ns)
+        if "watchdog" in self.due_ns:
+            self._feed()
         kind, payload = can_id_of(data) - self._settings.node_id, data_of(data)
         if kind == 0x200 and len(payload) == _ORDER.size:
             code, self._count, _, target = _ORDER.unpack(payload)
-            self._obey(code, target, now_ns)
+            self._obey(code, target)
         elif kind == 0x300 and len(payload) == _WORD.size:
             self._velocity = max(1, _WORD.unpack(payload)[0]) / _UNITS
         elif kind == 0x380 and len(payload) == _TWO_WORDS.size:
@@ -125,7 +115,7 @@ class MydriveController(MotorDrive):
         elif kind != 0x400:
             self.warn(f"frame {data.hex()} is not understood")
 
-    def _obey(self, code: int, target: int, now_ns: int) -> None:
+    def _obey(self, code: int, target: int) -> None:
         if code == 0:
             self._switch(on=False)
         elif code == 4:
@@ -135,7 +125,7 @@ class MydriveController(MotorDrive):
             self.warn(f"command {code} refused: fault {self._fault}")
         elif code == 1:
             self._switch(on=True)
-            self._watchdog_ns = self._patience_ns(now_ns)
+            self._feed()
         elif code == 2 and self._is_on:
             self.axis.move_to(
                 round(target * self._inc / _UNITS),
@@ -149,13 +139,12 @@ class MydriveController(MotorDrive):
     def _switch(self, *, on: bool) -> None:
         if on != self._is_on:
             self._is_on = on
-            self._watchdog_ns = NEVER_NS
+            self.due_ns.pop("watchdog", None)
             self.axis.power(on)
 
-    def _patience_ns(self, now_ns: int) -> int:
-        """Return when the drive stops if it hears nothing more."""
-        patience_s = self._settings.watchdog_s
-        return now_ns + round(patience_s * 1e9) if patience_s else NEVER_NS
+    def _feed(self) -> None:
+        """Begin the time anew after which the drive stops without its host."""
+        self.wake("watchdog", round(self._settings.watchdog_s * 1e9))
 
     def _send(self, kind: int, data: bytes) -> None:
         self.queue(pack(kind + self._settings.node_id, data))
@@ -170,7 +159,6 @@ class MydriveController(MotorDrive):
     def go_dark(self) -> None:
         """Lose the power."""
         self._switch(on=False)
-        self._next_ns = NEVER_NS
 
     def truth(self) -> Mapping[str, float]:
         """Return the code of the fault."""
@@ -181,13 +169,4 @@ class MydriveController(MotorDrive):
         return [kind + self._settings.node_id for kind in (0x200, 0x300, 0x380, 0x400)]
 
 
-@controller(api=1)
-def build(settings: Mapping[str, object], context: ControllerContext) -> Controller:
-    """Build the drive from its table in a rig.
-
-    Raises:
-        SettingError: a key or value is wrong; names the keys.
-    """
-    table = read(DriveTable, settings)
-    stream = context.stream()
-    return on_own_time(MydriveController(table, stream), table.motor(stream).oscillator)
+build = drive_builder(DriveTable, MydriveController, api=1)

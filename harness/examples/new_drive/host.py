@@ -16,42 +16,36 @@ The protocol of this template, which no drive speaks (identifiers + node-ID, lit
 Positions are in 1/65536 turn of the motor, velocities and accelerations in that per s and s².
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from math import floor, tau
+from dataclasses import dataclass
 from struct import Struct
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
-    CanDrive,
+    CanBuilder,
+    CanHardware,
+    CanMotor,
+    Estimate,
     Fault,
     LinkError,
     Measurement,
     Motion,
-    MotionKind,
-    Motor,
     MotorModel,
     MotorState,
     Options,
     PeerError,
     PeriodicMessage,
     SentFrame,
-    Shared,
     UsageError,
     adaptation,
-    checked_node,
-    number,
-    read_settings,
+    motor_turns,
+    positive,
     text,
     whole,
+    whole_steps,
 )
-
-if TYPE_CHECKING:
-    import can
-
-    from motorhil.motorapi.api import Runtime
 
 # 1. The protocol: identifiers, layouts, codes, units. Write the source of each beside it.
 STATUS, ESTIMATE, COMMAND, SPEED, RAMPS, ALIVE = 0x180, 0x280, 0x200, 0x300, 0x380, 0x400
@@ -71,7 +65,6 @@ FAULTS: Final = {1: "over-temperature", 2: "over-voltage", 3: "no host", 4: "can
 
 _ALIVE_S: Final = 0.02
 _ANSWER_S: Final = 0.2
-_CONNECT_S: Final = 3.0
 
 
 class Status(NamedTuple):
@@ -84,21 +77,11 @@ class Status(NamedTuple):
     time_ns: int
 
 
-class Estimate(NamedTuple):
-    """Position and velocity [steps, steps/s], and when they were complete on the bus [ns]."""
-
-    position: int
-    velocity: int
-    time_ns: int
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveOptions(Options):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
-    timeout_ms: float = number(
-        50.0, 0, unit="ms", doc="Time without a status after which the drive is lost.", above=True
-    )
+    timeout_ms: float = positive(50.0, "ms", "Time without a status after which the drive is lost.")
 
 
 @final
@@ -111,62 +94,40 @@ class MotorTable(DriveOptions):
 
 
 @final
-class MydriveHwMotor:
-    """One drive on a CAN bus, by node-ID; shared by all logical motors and threads.
+class MydriveHwMotor(CanHardware[DriveOptions]):
+    """One drive on a CAN bus; see `CanHardware`, which has the rest.
 
     Attributes:
-        drive: its connection.
         status, estimate: the last ones received, or None.
         told: the number of the last command sent, or None.
-        users: the number of motors built on it from settings; the last one closes it.
     """
 
-    def __init__(
-        self,
-        bus: "can.BusABC",
-        node_id: int,
-        *,
-        runtime: "Runtime | None" = None,
-        options: DriveOptions | None = None,
-    ) -> None:
-        self.node_id: Final = checked_node(node_id, NODE_ID_MAX, "node_id")
-        self.options: Final = DriveOptions() if options is None else options
+    OPTIONS = DriveOptions
+    NOUN = "a mydrive"
+    NODE_ID_MAX = NODE_ID_MAX
+    LACKS = "status and estimate"
+
+    # 2. What the drive sends, and what other programs send to it. A drive that only answers sends
+    # no status: drop both `expect`, and ask in `_refresh` of the motor by `exchange`.
+
+    def _begin(self) -> None:
         self.status: Status | None = None
         self.estimate: Estimate | None = None
         self.told: int | None = None
-        self.users = 0
         self._fault_since_ns = 0
         self._feeds = False  # whether this program was the last to command the drive
-        self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime)
-        self.label: Final = self.drive.label
         timeout_s = self.options.timeout_ms / 1e3
-        self._statuses = self.drive.expect("status", timeout_s, self._forget)
+        self._statuses = self.drive.expect("status", timeout_s, self._lose)
         self._estimates = self.drive.expect("estimate", timeout_s)
-        # 2. What the drive sends, and what other programs send to it. A drive that only answers
-        # sends no status: drop both `expect`, and ask in `_refresh` of the motor by `exchange`.
-        self.drive.handle(STATUS + node_id, self._on_status)
-        self.drive.handle(ESTIMATE + node_id, self._on_estimate)
-        self.drive.handle(COMMAND + node_id, self._on_foreign_command)
+        self.drive.handle(STATUS + self.node_id, self._on_status)
+        self.drive.handle(ESTIMATE + self.node_id, self._on_estimate)
+        self.drive.handle(COMMAND + self.node_id, self._on_foreign_command)
         self.drive.every(_ALIVE_S, self._feed)
 
-    @property
-    def is_closed(self) -> bool:
-        """True after `close`."""
-        return self.drive.is_closed
+    def _knows(self) -> bool:
+        return self.status is not None and self.estimate is not None
 
-    def close(self) -> None:
-        """Stop sending and receiving."""
-        self.drive.close(at_rest=self.is_settled())
-
-    def connect(self) -> None:
-        """Wait until the drive is heard, and declare its traffic.
-
-        Raises:
-            LinkError: it is not heard, or this object is closed, or the bus is off.
-        """
-        if self.is_up():
-            return
-        self.drive.connect(self.is_up, lambda: None, _CONNECT_S, "status and estimate")
+    def _connected(self) -> None:
         self.drive.note_traffic(
             (
                 PeriodicMessage(STATUS + self.node_id, _STATUS.size, PERIOD_S),
@@ -175,16 +136,18 @@ class MydriveHwMotor:
             (PeriodicMessage(ALIVE + self.node_id, 0, _ALIVE_S),),
         )
 
-    def is_up(self) -> bool:
-        """Return whether all is known that commands need."""
-        return self.status is not None and self.estimate is not None and not self.drive.is_lost
-
-    def is_settled(self) -> bool:
+    def _rests(self) -> bool:
         """Return whether the drive has taken the last command, and does not move."""
         status = self.status
         if status is None or status.is_moving:
             return status is None
         return self.told is None or status.number == self.told
+
+    def forget(self) -> None:
+        """Forget what the drive was told: another program commands it, or it was lost."""
+        self._feeds = False
+        self.told = None
+        super().forget()
 
     def fault(self) -> Fault | None:
         """Return the fault of the last status, or None."""
@@ -259,7 +222,7 @@ class MydriveHwMotor:
             self._estimates.came(time_ns)
 
     def _on_foreign_command(self, data: bytes, time_ns: int) -> None:
-        self._forget()
+        self.forget()
         self.drive.overheard(f"command {data[:1].hex()}h", time_ns)
 
     def _feed(self) -> None:
@@ -267,127 +230,65 @@ class MydriveHwMotor:
             with suppress(LinkError):
                 self.drive.request(ALIVE + self.node_id)
 
-    def _forget(self) -> None:
-        self._feeds = False
-        self.told = None
-        self.drive.doubt()
-
 
 @final
-class MydriveMotor(Motor):
+class MydriveMotor(CanMotor[MydriveHwMotor]):
     """A logical motor on this drive; several of them may share one hardware object."""
 
-    def __init__(
-        self,
-        hardware: MydriveHwMotor,
-        model: MotorModel,
-        *,
-        name: str | None = None,
-        on_close: Callable[[], None] | None = None,
-    ) -> None:
-        drive = hardware.drive
-        super().__init__(
-            name=name,
-            model=model,
-            runtime=drive.runtime,
-            physical=drive.physical,
-            on_close=on_close,
-        )
-        if model.gear_ratio is None:
-            raise UsageError(f"motor model {model.name}: gear_ratio is missing; give it")
-        self._hardware = hardware
-        # 4. Units: steps of the drive per rad (or m) of the output, signed.
-        self._steps: Final = (
-            STEPS * model.gear_ratio / (tau if model.kind is MotionKind.ROTARY else 1.0)
-        )
+    # 4. Units: steps of the drive per rad (or m) of the output, signed.
 
-    # 5. The six hooks that make a motor, in the order in which the kit needs them.
+    def _units_of(self, model: MotorModel) -> float:
+        return STEPS * motor_turns(model)
 
-    def _connect(self) -> None:
-        self._hardware.connect()
+    # 5. The hooks that make a motor, in the order in which the kit needs them.
 
     def _latest(self) -> Measurement | None:
-        status, estimate = self._hardware.status, self._hardware.estimate
+        status, estimate = self.hardware.status, self.hardware.estimate
         if status is None or estimate is None:
             return None
-        position, velocity = estimate.position / self._steps, estimate.velocity / self._steps
+        position, velocity = estimate.position / self._units, estimate.velocity / self._units
         return Measurement(estimate.time_ns, _STATES[status.state], position, velocity)
 
     def _enable(self) -> None:
-        status = self._hardware.obey(SWITCH_ON, lambda status: status.state != OFF)
+        status = self.hardware.obey(SWITCH_ON, lambda status: status.state != OFF)
         self._check_fault()
         if status.state != ON:
             raise PeerError(f"{self.name}: the drive does not switch on (state {status.state})")
 
     def _disable(self) -> None:
-        self._hardware.obey(SWITCH_OFF, lambda status: status.state != ON)
+        self.hardware.obey(SWITCH_OFF, lambda status: status.state != ON)
 
     def _command(self, motion: Motion) -> None:
-        size = abs(self._steps)
-        target, reach = round(motion.target * self._steps), _TARGET_MAX / size
+        size = abs(self._units)
+        target, reach = round(motion.target * self._units), _TARGET_MAX / size
         if abs(target) > _TARGET_MAX:
             raise UsageError(
                 f"{self.name}: target {motion.target:g} {self.model.unit}; the drive takes"
                 f" {-reach:g} to {reach:g} {self.model.unit}; move less far"
             )
-        self._hardware.set_limits(
+        self.hardware.set_limits(
             round(motion.velocity * size),
             round(motion.acceleration * size),
             round(motion.deceleration * size),
         )
-        self._hardware.drive.confirm(self._hardware.tell(MOVE, target))
+        self.hardware.drive.confirm(self.hardware.tell(MOVE, target))
 
     def _stop(self) -> None:
         size = self._physical.stop_deceleration(self.model.deceleration)
-        self._hardware.set_ramp_to_stop(max(1, round(size * abs(self._steps))))
-        self._hardware.tell_anyway(STOP)
+        self.hardware.set_ramp_to_stop(max(1, round(size * abs(self._units))))
+        self.hardware.tell_anyway(STOP)
 
     # 6. Capabilities: hooks with a default. What the drive lacks, the kit does not ask for.
 
     def _quantise(self, motion: Motion) -> Motion:
-        size = abs(self._steps)
-
-        def down(value: float) -> float:
-            return max(1, floor(value * size * (1 + 1e-12))) / size
-
-        return replace(
-            motion,
-            target=round(motion.target * self._steps) / self._steps,
-            velocity=down(motion.velocity),
-            acceleration=down(motion.acceleration),
-            deceleration=down(motion.deceleration),
-        )
+        return whole_steps(motion, self._units)
 
     def _latest_fault(self) -> Fault | None:
-        return self._hardware.fault()
+        return self.hardware.fault()
 
     def _reset_fault(self) -> None:
-        self._hardware.obey(CLEAR, lambda status: True)
+        self.hardware.obey(CLEAR, lambda status: True)
         self._check_fault()
 
-    # 7. The hardware itself, for applications that need more than a motor.
 
-    def _open_low_level(self) -> MydriveHwMotor:
-        return self._hardware
-
-    def _close_low_level(self) -> None:
-        self._hardware.drive.doubt()
-
-
-_SHARED: Final[Shared[MydriveHwMotor]] = Shared("drive")
-
-
-@adaptation(api=1, rig="rig.toml")
-def build(
-    bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
-) -> MydriveMotor:
-    """Build the motor that a table of settings describes; motors on one drive share it.
-
-    Raises:
-        UsageError: a setting is unknown, missing, or wrong.
-    """
-    own = read_settings(MotorTable, settings)
-    hardware, give_back = _SHARED.on_can(
-        MydriveHwMotor, bus, own.node_id, runtime, own.part(DriveOptions)
-    )
-    return MydriveMotor(hardware, model, name=own.name, on_close=give_back)
+build = adaptation(api=1, rig="rig.toml")(CanBuilder(MotorTable, MydriveHwMotor, MydriveMotor))

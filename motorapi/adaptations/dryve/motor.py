@@ -8,26 +8,21 @@
 | homing                                   | 6098h, mode 6, bit 4 of 6040h                        |
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import final
 
 from motorhil.motorapi.adaptations.dryve.hardware import VELOCITY_UNITS, DryveHwMotor
 from motorhil.motorapi.api import (
+    LineBuilder,
     Measurement,
     PeerError,
     PolledMotor,
-    Shared,
     adaptation,
     number,
-    read_settings,
     text,
     whole,
     word,
 )
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.api import ByteLine, MotorModel, Runtime
 
 
 @final
@@ -64,37 +59,6 @@ class DryveTable:
     timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.", plausible=(0.005, 30.0))
 
 
-_shared: Final[Shared[DryveHwMotor]] = Shared("drive")
-
-
-@adaptation(api=1, bus_kinds=("modbus_tcp",))
-def build(
-    bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
-) -> DryveMotor:
-    """Return the motor described by a settings table.
-
-    Args:
-        bus: the connection to the drive.
-        settings: `unit`; `name`; `velocity_unit`; `timeout_s`, the response timeout [s].
-        model: the motor model; its gear ratio, or motor_turns_per_m, must be given.
-        runtime: the runtime to wait with.
-
-    Raises:
-        UsageError: a setting is unknown, missing or invalid.
-    """
-    own = read_settings(DryveTable, settings)
-    hardware = _shared.get(
-        bus,
-        own.unit,
-        lambda: DryveHwMotor(
-            bus,
-            own.unit,
-            runtime=runtime,
-            velocity_unit=own.velocity_unit,
-            timeout_s=own.timeout_s,
-        ),
-        lambda built: (
-            (built.registers.timeout_s, built.velocity_unit) == (own.timeout_s, own.velocity_unit)
-        ),
-    )
-    return DryveMotor(hardware, model, name=own.name, on_close=lambda: _shared.give_back(hardware))
+build = adaptation(api=1, bus_kinds=("modbus_tcp",))(
+    LineBuilder(DryveTable, DryveHwMotor, DryveMotor)
+)

@@ -1,31 +1,26 @@
 """The logical motor of a Dynamixel servo, and its builder."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import final
 
 from motorhil.motorapi.adaptations.dynamixel.hardware import MODES, DynamixelHwMotor
 from motorhil.motorapi.api import (
     REQUIRED,
     ControlMode,
     ControlVariable,
+    LineBuilder,
     Motion,
     PeerError,
     PolledMotor,
-    Shared,
     SyncLevel,
     SyncOffer,
     Trigger,
     adaptation,
     number,
-    read_settings,
     text,
     whole,
     word,
 )
-
-if TYPE_CHECKING:
-    from motorhil.motorapi.api import ByteLine, MotorModel, Runtime
 
 
 @final
@@ -85,40 +80,6 @@ class DynamixelTable:
     )
 
 
-_shared: Final[Shared[DynamixelHwMotor]] = Shared("servo")
-
-
-@adaptation(api=1, bus_kinds=("serial",))
-def build(
-    bus: "ByteLine", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
-) -> DynamixelMotor:
-    """Return the motor described by a settings table.
-
-    Args:
-        bus: the line of the servo.
-        settings: `unit`; `name`; `mode`; `timeout_s`, the response timeout [s].
-        model: the motor model; its gear_ratio is that of a gear behind the servo.
-        runtime: the runtime to wait with.
-
-    Raises:
-        UsageError: a setting is unknown, missing or invalid.
-    """
-    own = read_settings(DynamixelTable, settings)
-    hardware = _shared.get(
-        bus,
-        own.unit,
-        lambda: DynamixelHwMotor(
-            *(bus, own.unit),
-            runtime=runtime,
-            mode=own.mode,
-            timeout_s=own.timeout_s,
-            watchdog_s=own.watchdog_s,
-        ),
-        lambda built: (
-            (built.registers.timeout_s, built.mode, built.watchdog_s)
-            == (own.timeout_s, own.mode, own.watchdog_s)
-        ),
-    )
-    return DynamixelMotor(
-        hardware, model, name=own.name, on_close=lambda: _shared.give_back(hardware)
-    )
+build = adaptation(api=1, bus_kinds=("serial",))(
+    LineBuilder(DynamixelTable, DynamixelHwMotor, DynamixelMotor, "servo")
+)

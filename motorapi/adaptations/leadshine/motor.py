@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
-from motorhil.motorapi.adaptations.modbus.polled_builder import PolledBuilder
+from motorhil.motorapi.adaptations.modbus.polled_builder import BUS_KINDS, PolledTable
+from motorhil.motorapi.api.line_builder import LineBuilder
 from motorhil.motorapi.api.polled_motor import PolledMotor
+from motorhil.motorapi.api.registration import adaptation
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
 
@@ -70,4 +72,6 @@ class LeadshineMotor(PolledMotor[LeadshineHwMotor]):
         self.hardware.limit_current(None if current is None else int(current * 10.0 + 1e-9))
 
 
-build: Final = PolledBuilder(LeadshineHwMotor, LeadshineMotor)
+build: Final = adaptation(api=1, bus_kinds=BUS_KINDS)(
+    LineBuilder(PolledTable, LeadshineHwMotor, LeadshineMotor)
+)

@@ -1,6 +1,6 @@
 """Adaptations to drives with MIT frames, and to RobStride's drives."""
 
 from motorhil.motorapi.adaptations.mit.hardware import MitHwMotor, MitOptions
-from motorhil.motorapi.adaptations.mit.motor import MitMotor
+from motorhil.motorapi.adaptations.mit.motor import ClassicalHwMotor, ClassicalOptions, MitMotor
 
-__all__ = ["MitHwMotor", "MitMotor", "MitOptions"]
+__all__ = ["ClassicalHwMotor", "ClassicalOptions", "MitHwMotor", "MitMotor", "MitOptions"]

@@ -133,8 +133,6 @@ class Frames:
         ranges: those of its model.
     """
 
-    flag = False  # True: identifiers of 29 bits
-
     def __init__(self, node_id: int, master_id: int, maker: Maker, ranges: Ranges) -> None:
         self.node_id: Final = node_id
         self.master_id: Final = master_id

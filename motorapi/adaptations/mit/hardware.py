@@ -14,11 +14,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 from motorhil.motorapi.adaptations.mit.frames import Answer, Command, Frames, Maker, Ranges, Special
 from motorhil.motorapi.api import (
-    CanDrive,
+    CanHardware,
     LinkError,
     MotionTimes,
     Options,
@@ -27,13 +27,12 @@ from motorhil.motorapi.api import (
     SentFrame,
     SetpointStream,
     SyncOffer,
-    number,
+    amount,
+    positive,
 )
 
 if TYPE_CHECKING:
-    import can
-
-    from motorhil.motorapi.api import BoundFence, Runtime
+    from motorhil.motorapi.api import BoundFence
 
 Plan = Callable[[float], Command]
 """The command over the time since the start [s]; constant at its end."""
@@ -54,61 +53,37 @@ _RATIO: Final = (0.8, 1.25)
 
 
 def _range(unit: str, of: str, plausible: tuple[float, float]) -> Any:
-    doc = f"Range of {of}; absent: the model's."
-    return number(None, 0, unit=unit, doc=doc, above=True, plausible=plausible)
+    return positive(None, unit, f"Range of {of}; absent: the model's.", plausible)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MitOptions(Options):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
-    kp_n_m_rad: float = number(
-        50.0, 0, unit="N·m/rad", doc="Stiffness.", above=True, plausible=(0.1, 1e5)
+    kp_n_m_rad: float = positive(50.0, "N·m/rad", "Stiffness.", (0.1, 1e5))
+    kd_n_m_s_rad: float = positive(2.0, "N·m·s/rad", "Damping.", (0.01, 1e3))
+    inertia_kg_m2: float = amount(0.0, "kg·m²", "Inertia at the output, fed forward.", (1e-6, 10.0))
+    friction_n_m: float = amount(0.0, "N·m", "Friction at the output, fed forward.", (1e-3, 10.0))
+    period_ms: float = positive(5.0, "ms", "Period of commands.", (0.5, 100.0))
+    following_error_rad: float = positive(
+        0.2, "rad", "Deviation from the demand at which it is switched off.", (0.01, 3.0)
     )
-    kd_n_m_s_rad: float = number(
-        2.0, 0, unit="N·m·s/rad", doc="Damping.", above=True, plausible=(0.01, 1e3)
+    quiet_ms: float = positive(
+        20.0, "ms", "Time without an answer after which a reader asks.", (1.0, 1e3)
     )
-    inertia_kg_m2: float = number(
-        0.0, 0, unit="kg·m²", doc="Inertia at the output, fed forward.", plausible=(1e-6, 10.0)
+    timeout_ms: float = positive(
+        100.0, "ms", "Time without an answer after which it is lost.", (5.0, 1e4)
     )
-    friction_n_m: float = number(
-        0.0, 0, unit="N·m", doc="Friction at the output, fed forward.", plausible=(1e-3, 10.0)
-    )
-    period_ms: float = number(
-        5.0, 0, unit="ms", doc="Period of commands.", above=True, plausible=(0.5, 100.0)
-    )
-    following_error_rad: float = number(
-        0.2,
-        0,
-        unit="rad",
-        doc="Deviation from the demand at which it is switched off.",
-        above=True,
-        plausible=(0.01, 3.0),
-    )
-    quiet_ms: float = number(
-        20.0,
-        0,
-        unit="ms",
-        doc="Time without an answer after which a reader asks.",
-        above=True,
-        plausible=(1.0, 1e3),
-    )
-    timeout_ms: float = number(
-        100.0,
-        0,
-        unit="ms",
-        doc="Time without an answer after which it is lost.",
-        above=True,
-        plausible=(5.0, 1e4),
-    )
-    connect_timeout_s: float = number(
-        2.0, 0, unit="s", doc="Time for its first answer.", above=True, plausible=(0.1, 60.0)
-    )
+    connect_timeout_s: float = positive(2.0, "s", "Time for its first answer.", (0.1, 60.0))
     p_max_rad: float | None = _range("rad", "positions, either way", (1.0, 200.0))
     v_max_rad_s: float | None = _range("rad/s", "velocities, either way", (1.0, 1000.0))
     t_max_n_m: float | None = _range("N·m", "torques, either way", (0.1, 1000.0))
     kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness", (1.0, 1e5))
     kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping", (0.1, 1e3))
+
+    def frames(self, node_id: int) -> Frames:
+        """Return the frames of the drive with this number."""
+        raise NotImplementedError
 
     def ranges(self, model: Ranges) -> Ranges:
         """Return the ranges: the model's, or those given."""
@@ -117,12 +92,10 @@ class MitOptions(Options):
         return Ranges(*(known if given is None else given for given, known in pairs))
 
 
-@final
-class MitHwMotor:
-    """One drive on a CAN bus; shared by all logical motors and threads.
+class MitHwMotor(CanHardware[MitOptions]):
+    """One drive on a CAN bus; see `CanHardware`.
 
     Attributes:
-        drive: its connection.
         frames: its frames, with the ranges.
         answer, time_ns: the last answer, and when it was complete on the bus; None: none yet.
         is_on: whether the motor has current, as far as known.
@@ -131,20 +104,17 @@ class MitHwMotor:
         fault: the code of the fault, of the drive or `FOLLOWING_ERROR`; 0: none.
         mismatch: why the ranges are wrong; "": nothing says so.
         is_zeroed: whether the zero was set since the drive was first heard.
-        users: the number of motors built on it from settings; the last one closes it.
     """
 
-    def __init__(
-        self,
-        bus: "can.BusABC",
-        frames: Frames,
-        *,
-        runtime: "Runtime | None" = None,
-        options: MitOptions | None = None,
-    ) -> None:
-        self.frames: Final = frames
-        self._reading: Final = bytes((frames.node_id, 0, _READ))  # begins answers of parameters
-        self.options: Final = MitOptions() if options is None else options
+    NOUN = "a drive with MIT frames"
+    NODE_ID_MAX = 127
+
+    def _begin(self) -> None:
+        own, drive = self.options, self.drive
+        self.frames: Frames = own.frames(self.node_id)
+        self.LACKS = f"answer of motor {self.node_id} on identifier {self.frames.master_id:X}h"
+        self.CONNECT_S = own.connect_timeout_s
+        self._reading = bytes((self.node_id, 0, _READ))  # begins answers of parameters
         self.answer: Answer | None = None
         self.time_ns: int = 0
         self.fault_ns: int = 0
@@ -154,36 +124,21 @@ class MitHwMotor:
         self.is_zeroed: bool = False
         self.plan: Plan | None = None
         self.mismatch: str = ""
-        self.users = 0
         self._stream: SetpointStream | None = None
         self._started: SetpointStream | None = None
-        self._is_asking = self._is_checked = False
+        self._is_asking = False
         self._began_ns = self._deaf_ns = self._polled_ns = 0
         self._moved = self._summed = 0.0
         self._ratios: list[float] = []  # velocity to way, of the last ways that disagreed
         self._others: set[str] = set()
         self._parameters: dict[int, float] = {}
         self._awaited: bytes | None = None  # the beginning of the answer to a reading
-        self.drive: Final = CanDrive(
-            bus, frames.node_id, self, runtime=runtime, extended=frames.flag
-        )
-        self.label: Final = self.drive.label
-        self._life: Final = self.drive.expect("answer", self.options.timeout_ms / 1e3, self._lose)
-        for can_id in frames.answers():
-            self.drive.handle(can_id, partial(self._on_answer, can_id))
-        for can_id in frames.requests():
-            self.drive.handle(can_id, partial(self._on_request, can_id))
-        self.drive.every(self.options.period_ms / 1e3, self._beat)
-
-    @property
-    def is_closed(self) -> bool:
-        """True after `close`."""
-        return self.drive.is_closed
-
-    def close(self) -> None:
-        """Stop sending and receiving; the drive's own watchdog, if any, makes the motor limp."""
-        self.drive.close(at_rest=self._stream is None or not self._stream.is_going)
-        self._end_stream()
+        self._life = drive.expect("answer", own.timeout_ms / 1e3, self._lose)
+        for can_id in self.frames.answers():
+            drive.handle(can_id, partial(self._on_answer, can_id))
+        for can_id in self.frames.requests():
+            drive.handle(can_id, partial(self._on_request, can_id))
+        drive.every(own.period_ms / 1e3, self._beat)
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its ranges as far as it tells them.
@@ -192,32 +147,40 @@ class MitHwMotor:
             LinkError: it is not heard, or this object is closed, or the bus is off.
             PeerError: its ranges are others than those of the model.
         """
-        if self.is_up() and self._is_checked:
-            return
-        options, frames = self.options, self.frames
-        lacks = f"answer of motor {frames.node_id} on identifier {frames.master_id:X}h"
         try:
-            self.drive.connect(self.is_up, self._ask, options.connect_timeout_s, lacks)
+            super().connect()
         except LinkError as error:
-            if not self._others:
+            if self.is_up() or not self._others:
                 raise
             heard = ", ".join(sorted(self._others))
-            text = f"no {lacks}; heard there: {heard}; check node_id, master_id and drive"
+            text = f"no {self.LACKS}; heard there: {heard}; check node_id, master_id and drive"
             raise LinkError(link=self.label, reason=text) from error
-        if frames.maker is Maker.DAMIAO:
+
+    def _connected(self) -> None:
+        if self.frames.maker is Maker.DAMIAO:
             self._check_ranges()
-        self._is_checked = True
-        period_s = options.period_ms / 1e3
-        can_id, data = frames.command(LIMP)
-        answer_id = next(iter(frames.answers()))
+        period_s, is_extended = self.options.period_ms / 1e3, self.EXTENDED
+        can_id, data = self.frames.command(LIMP)
+        answer_id = next(iter(self.frames.answers()))
         self.drive.note_traffic(
-            (PeriodicMessage(answer_id, 8, period_s, extended=frames.flag),),
-            (PeriodicMessage(can_id, len(data), period_s, extended=frames.flag),),
+            (PeriodicMessage(answer_id, 8, period_s, extended=is_extended),),
+            (PeriodicMessage(can_id, len(data), period_s, extended=is_extended),),
         )
 
-    def is_up(self) -> bool:
-        """Return whether the drive was heard, and is not lost."""
-        return self.answer is not None and not self.drive.is_lost
+    def _knows(self) -> bool:
+        return self.answer is not None
+
+    def _greet(self) -> None:
+        self._ask()
+
+    def _rests(self) -> bool:
+        return self._stream is None or not self._stream.is_going
+
+    def forget(self) -> None:
+        """Repeat nothing any more, and forget what the drive was told."""
+        self._end_stream()
+        self.plan = None
+        super().forget()
 
     # --- commands ----------------------------------------------------------------------------
 
@@ -418,16 +381,13 @@ class MitHwMotor:
         if asked in (Special.ENTER, Special.LEAVE):
             self.is_on = asked is Special.ENTER
         if asked:
-            self._end_stream()
-            self.plan = None
+            self.forget()
             self.drive.overheard(f"request {data.hex()}", time_ns)
 
     def _lose(self) -> None:
-        self._end_stream()
-        self.plan = None
-        self.is_on = self.is_zeroed = self._is_checked = False
+        super()._lose()
+        self.is_on = self.is_zeroed = False
         self._parameters.clear()
-        self.drive.doubt()
 
     def _check_ranges(self) -> None:
         """Compare the ranges that a Damiao drive tells with those of the model."""

@@ -11,11 +11,10 @@
 Motors start one after another: there is no common signal.
 """
 
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import copysign
-from typing import TYPE_CHECKING, Final, final
+from typing import final
 
 from motorhil.motorapi.adaptations.mit.frames import (
     MODELS,
@@ -32,6 +31,8 @@ from motorhil.motorapi.adaptations.mit.hardware import (
 )
 from motorhil.motorapi.api import (
     REQUIRED,
+    CanBuilder,
+    CanMotor,
     ControlMode,
     ControlVariable,
     DeadlineExceeded,
@@ -39,77 +40,38 @@ from motorhil.motorapi.api import (
     LimitError,
     Measurement,
     Motion,
-    MotionKind,
     MotionTimes,
-    Motor,
     MotorModel,
     MotorState,
     PeerError,
     Ramps,
     Setpoint,
-    Shared,
     SyncOffer,
     Trajectory,
     TrapezoidalTrajectory,
-    UnsupportedError,
-    UsageError,
     adaptation,
     can_stream,
     demand_of,
-    read_settings,
+    output_sign,
+    require_here,
     require_time,
     text,
     whole,
     word,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import can
-
-    from motorhil.motorapi.api import Runtime
-
-_HERE: Final = (None, 35, 37)
-
 
 @final
-class MitMotor(Motor):
+class MitMotor(CanMotor[MitHwMotor]):
     """A logical motor on such a drive; several of them may share one hardware object."""
 
-    def __init__(
-        self,
-        hardware: MitHwMotor,
-        model: MotorModel,
-        *,
-        name: str | None = None,
-        on_close: "Callable[[], None] | None" = None,
-    ) -> None:
-        drive = hardware.drive
-        super().__init__(
-            name=name,
-            model=model,
-            runtime=drive.runtime,
-            physical=drive.physical,
-            on_close=on_close,
-        )
-        if model.kind is not MotionKind.ROTARY:
-            raise UsageError(f"motor model {model.name}: kind = linear; expected rotary")
-        self._hardware = hardware
-        self._sign: Final = -1.0 if (model.gear_ratio or 1.0) < 0.0 else 1.0
-
-    @property
-    def hardware(self) -> MitHwMotor:
-        """The drive, with all its abilities."""
-        return self._hardware
+    def _units_of(self, model: MotorModel) -> float:
+        return output_sign(model)
 
     # --- the six -----------------------------------------------------------------------------
 
-    def _connect(self) -> None:
-        self._hardware.connect()
-
     def _latest(self) -> Measurement | None:
-        hardware, answer, sign = self._hardware, self._hardware.answer, self._sign
+        hardware, answer, sign = self.hardware, self.hardware.answer, self._units
         if answer is None:
             return None
         state = MotorState.ENABLED if hardware.is_held else MotorState.DISABLED
@@ -120,7 +82,7 @@ class MitMotor(Motor):
         )
 
     def _enable(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         if hardware.plan is not None and hardware.is_on:
             return  # after a quick stop
         hardware.hold_here()
@@ -130,13 +92,13 @@ class MitMotor(Motor):
         self._check_fault()
 
     def _disable(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         hardware.release()
         hardware.ask(Special.LEAVE, lambda: not hardware.is_on, "the end of motor mode")
 
     def _command(self, motion: Motion) -> None:
         require_time(self.name, motion)
-        limit, furthest = self._hardware.frames.ranges.p, motion.target
+        limit, furthest = self.hardware.frames.ranges.p, motion.target
         if motion.function is not None:
             low, high = motion.function.bounds(*motion.interval)
             furthest = motion.offset + max(low, high, key=lambda end: abs(motion.offset + end))
@@ -150,10 +112,10 @@ class MitMotor(Motor):
                 unit="rad",
                 reason="the range of the drive's frames",
             )
-        self._hardware.follow(*self._planned(motion))
+        self.hardware.follow(*self._planned(motion))
 
     def _stop(self) -> None:
-        hardware, size = self._hardware, self._physical.stop_deceleration(self.model.deceleration)
+        hardware, size = self.hardware, self._physical.stop_deceleration(self.model.deceleration)
         answer, now = hardware.answer, hardware.present()
         if not hardware.is_on or answer is None:
             return
@@ -178,29 +140,29 @@ class MitMotor(Motor):
             super()._check_command(variable, command)
 
     def _sync_offer(self) -> SyncOffer:
-        return self._hardware.start_offer()
+        return self.hardware.start_offer()
 
     def _motion_times(self) -> MotionTimes | None:
-        return self._hardware.times()
+        return self.hardware.times()
 
     def _read_reference(self) -> float:
-        held = self._hardware.present()
-        return self._sign * held.p if held.kp else self._read_position()
+        held = self.hardware.present()
+        return self._units * held.p if held.kp else self._read_position()
 
     def _read_referenced(self) -> bool:
-        return self._hardware.is_zeroed
+        return self.hardware.is_zeroed
 
     def _read_fault(self) -> Fault | None:
         return self._fault()
 
     def _is_done(self) -> bool:
-        self._hardware.check_stream()
-        if self._hardware.mismatch:
-            raise PeerError(self._hardware.mismatch)
+        self.hardware.check_stream()
+        if self.hardware.mismatch:
+            raise PeerError(self.hardware.mismatch)
         return super()._is_done()
 
     def _reset_fault(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         hardware.release()
         steps = [Special.LEAVE, Special.CLEAR]
         if hardware.frames.maker is Maker.CUBEMARS:  # it has no request to clear
@@ -213,24 +175,16 @@ class MitMotor(Motor):
         self._check_fault()
 
     def _home(self, method: int | None) -> None:
-        if method not in _HERE:
-            feature = f"homing by method {method}"
-            raise UnsupportedError(motor=self.name, feature=feature, supported="35, 37")
+        require_here(self.name, method)
         self._disable()
-        self._hardware.set_zero()
+        self.hardware.set_zero()
         self._enable()
-
-    def _open_low_level(self) -> MitHwMotor:
-        return self._hardware
-
-    def _close_low_level(self) -> None:
-        self._hardware.drive.doubt()
 
     # --- helpers -----------------------------------------------------------------------------
 
     def _planned(self, motion: Motion) -> tuple[Plan, float]:
         """Return the commands of a motion, and its duration [s]."""
-        sign, options = self._sign, self._hardware.options
+        sign, options = self._units, self.hardware.options
         kp, kd, inertia = options.kp_n_m_rad, options.kd_n_m_s_rad, options.inertia_kg_m2
         friction = options.friction_n_m
         if motion.variable is ControlVariable.POSITION:
@@ -246,7 +200,7 @@ class MitMotor(Motor):
                 return Command(sign * p, sign * v, kp, kd, sign * (inertia * a + rubs))
 
             return position, demand.final_argument - begin
-        present, answer = self._hardware.present(), self._hardware.answer
+        present, answer = self.hardware.present(), self.hardware.answer
         assert answer is not None  # connected
         if motion.variable is ControlVariable.VELOCITY:
             before = present.v if present.kd and not present.kp else answer.v
@@ -261,7 +215,7 @@ class MitMotor(Motor):
         return lambda at_s: Command(t=sign * _at(ramps, motion, at_s)), ramps.duration_s
 
     def _fault(self) -> Fault | None:
-        hardware, code = self._hardware, self._hardware.fault
+        hardware, code = self.hardware, self.hardware.fault
         faults = {FOLLOWING_ERROR: "following error", **hardware.frames.maker.faults}
         texts = [faults[code]] if code in faults else [t for c, t in faults.items() if code & c]
         return Fault(code, ", ".join(texts) or "unknown", hardware.fault_ns) if code else None
@@ -272,45 +226,33 @@ def _at(ramps: Ramps, motion: Motion, at_s: float) -> float:
     return motion.target if on_ramp is None else on_ramp[0]
 
 
-_SHARED: Final[Shared[MitHwMotor]] = Shared("drive")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassicalOptions(MitOptions):
+    """The options of a hardware object of a mini cheetah, CubeMars or Damiao drive."""
 
+    master_id: int = whole(0, 0, 0x7FF, "", "Identifier of answers.")
+    drive: str = word("ak80_6_v2", MODELS, "model", "Its model, which determines the ranges.")
 
-def build_with(
-    bus: "can.BusABC", frames: Frames, own: MitOptions, model: MotorModel, runtime: "Runtime"
-) -> MitMotor:
-    """Build a motor on the drive with these frames; motors on one drive share it."""
-    options = own.part(MitOptions)
-    hardware = _SHARED.get(
-        bus,
-        frames.node_id,
-        lambda: MitHwMotor(bus, frames, runtime=runtime, options=options),
-        lambda built: built.options == options and built.frames.ranges == frames.ranges,
-    )
-    name: str | None = getattr(own, "name", None)
-    return MitMotor(hardware, model, name=name, on_close=lambda: _SHARED.give_back(hardware))
+    def frames(self, node_id: int) -> Frames:
+        """Return the frames of the drive with this number."""
+        maker, ranges = MODELS[self.drive]
+        return Frames(node_id, self.master_id, maker, self.ranges(ranges))
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MitTable(MitOptions):
+class MitTable(ClassicalOptions):
     """A motor behind a drive with MIT frames."""
 
     node_id: int = whole(REQUIRED, 1, 127, "", "Identifier of requests.", example="1")
-    master_id: int = whole(0, 0, 0x7FF, "", "Identifier of answers.")
-    drive: str = word("ak80_6_v2", MODELS, "model", "Its model, which determines the ranges.")
     name: str | None = text(None, "Name of the motor; absent: the model's.")
 
 
-@adaptation(api=1)
-def build(
-    bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
-) -> MitMotor:
-    """Build the motor that a table of settings describes; motors on one drive share it.
+@final
+class ClassicalHwMotor(MitHwMotor):
+    """One mini cheetah, CubeMars or Damiao drive; see `MitHwMotor`."""
 
-    Raises:
-        UsageError: a setting is unknown, missing, or wrong.
-    """
-    own = read_settings(MitTable, settings)
-    maker, ranges = MODELS[own.drive]
-    frames = Frames(own.node_id, own.master_id, maker, own.ranges(ranges))
-    return build_with(bus, frames, own, model, runtime)
+    OPTIONS = ClassicalOptions
+
+
+build = adaptation(api=1)(CanBuilder(MitTable, ClassicalHwMotor, MitMotor))

@@ -6,11 +6,11 @@ kd, its torque is in the identifier. Feedback has mode and faults in its identif
 Source: the client robstride 0.1.0.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from math import pi
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 from motorhil.motorapi.adaptations.mit.frames import (
     Answer,
@@ -22,14 +22,9 @@ from motorhil.motorapi.adaptations.mit.frames import (
     code_of,
     value_of,
 )
-from motorhil.motorapi.adaptations.mit.hardware import MitOptions
-from motorhil.motorapi.adaptations.mit.motor import MitMotor, build_with
-from motorhil.motorapi.api import REQUIRED, adaptation, read_settings, text, whole, word
-
-if TYPE_CHECKING:
-    import can
-
-    from motorhil.motorapi.api import MotorModel, Runtime
+from motorhil.motorapi.adaptations.mit.hardware import MitHwMotor, MitOptions
+from motorhil.motorapi.adaptations.mit.motor import MitMotor
+from motorhil.motorapi.api import REQUIRED, CanBuilder, adaptation, text, whole, word
 
 ROBSTRIDES: Final = {
     "cybergear": Ranges(4 * pi, 30, 12),
@@ -46,8 +41,6 @@ _RUN: Final = 2
 @final
 class RobstrideFrames(Frames):
     """The frames of one drive; `master_id` is the number of the host."""
-
-    flag = True
 
     def command(self, command: Command) -> tuple[int, bytes]:
         """Return the frame of a command."""
@@ -91,27 +84,34 @@ class RobstrideFrames(Frames):
         return kind << 24 | host << 8 | self.node_id
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobstrideOptions(MitOptions):
+    """The options of a hardware object of a RobStride or CyberGear drive."""
+
+    drive: str = word("rs01", ROBSTRIDES, "model", "Its model, which determines the ranges.")
+    host_id: int = whole(0xFD, 0, 0xFF, "", "Number of this host.")
+
+    def frames(self, node_id: int) -> Frames:
+        """Return the frames of the drive with this number."""
+        ranges = self.ranges(ROBSTRIDES[self.drive])
+        return RobstrideFrames(node_id, self.host_id, Maker.ROBSTRIDE, ranges)
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobstrideTable(MitOptions):
+class RobstrideTable(RobstrideOptions):
     """A motor behind a RobStride or CyberGear drive."""
 
     node_id: int = whole(REQUIRED, 1, 127, "", "Number of the motor.", example="1")
-    drive: str = word("rs01", ROBSTRIDES, "model", "Its model, which determines the ranges.")
-    host_id: int = whole(0xFD, 0, 0xFF, "", "Number of this host.")
     name: str | None = text(None, "Name of the motor; absent: the model's.")
 
 
-@adaptation(api=1)
-def build(
-    bus: "can.BusABC", settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
-) -> MitMotor:
-    """Build the motor that a table of settings describes; motors on one drive share it.
+@final
+class RobstrideHwMotor(MitHwMotor):
+    """One RobStride or CyberGear drive; see `MitHwMotor`."""
 
-    Raises:
-        UsageError: a setting is unknown, missing, or wrong.
-    """
-    own = read_settings(RobstrideTable, settings)
-    ranges = own.ranges(ROBSTRIDES[own.drive])
-    frames = RobstrideFrames(own.node_id, own.host_id, Maker.ROBSTRIDE, ranges)
-    return build_with(bus, frames, own, model, runtime)
+    OPTIONS = RobstrideOptions
+    EXTENDED = True
+
+
+build = adaptation(api=1)(CanBuilder(RobstrideTable, RobstrideHwMotor, MitMotor))

@@ -9,17 +9,19 @@ STOPPED until `enable`.
 Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from math import isnan, nan, tau
 from struct import Struct
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
-    CanDrive,
+    CanBuilder,
+    CanHardware,
+    CanMotor,
     ControlMode,
     ControlVariable,
     Fault,
@@ -29,7 +31,6 @@ from motorhil.motorapi.api import (
     MotionInterrupted,
     MotionKind,
     MotionTimes,
-    Motor,
     MotorBusyError,
     MotorModel,
     MotorState,
@@ -38,22 +39,14 @@ from motorhil.motorapi.api import (
     PeriodicMessage,
     SentFrame,
     SettingError,
-    Shared,
     SyncOffer,
-    UnsupportedError,
-    UsageError,
     adaptation,
-    checked_node,
-    number,
-    read_settings,
+    motor_turns,
+    positive,
+    require_here,
     text,
     whole,
 )
-
-if TYPE_CHECKING:
-    import can
-
-    from motorhil.motorapi.api import Runtime
 
 STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11  # modes
 _OTHERS: Final = (12, 13, 15)  # with current: zero velocity, stay within, brake
@@ -92,12 +85,10 @@ _FAULTS: Final = {
     **{49: "position control error", 50: "velocity control error"},
 }
 _ANSWER_S: Final = 0.2
-_CONNECT_S: Final = 1.0
 _FEEDS: Final = 3  # of the watchdog, within its time
 _WINDOW: Final = 0.1  # of the model's tolerance
 _REACHED: Final = 0.05  # of the model's velocity
 _HOME_OUTPUT: Final = 2
-_HERE: Final = (None, 35, 37)  # homing methods: here
 
 
 class Status(NamedTuple):
@@ -133,28 +124,16 @@ class Order(NamedTuple):
 class MoteusOptions(Options):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
-    poll_ms: float = number(
-        10.0, 0, 1e3, "ms", "Period of queries and commands.", above=True, plausible=(1.0, 50.0)
+    poll_ms: float = positive(10.0, "ms", "Period of queries and commands.", (1.0, 50.0), most=1e3)
+    watchdog_ms: float = positive(
+        *(100.0, "ms", "The drive stops after this time without its host.", (10.0, 10_000.0)),
+        most=1e6,
     )
-    watchdog_ms: float = number(
-        100.0,
-        0,
-        1e6,
-        "ms",
-        "The drive stops after this time without its host.",
-        above=True,
-        plausible=(10.0, 10_000.0),
+    timeout_ms: float = positive(
+        100.0, "ms", "Time without a reply after which the drive is lost.", (10.0, 10_000.0)
     )
-    timeout_ms: float = number(
-        100.0,
-        0,
-        unit="ms",
-        doc="Time without a reply after which the drive is lost.",
-        above=True,
-        plausible=(10.0, 10_000.0),
-    )
-    rotor_to_output_ratio: float = number(
-        1.0, 0, 1e9, "", "As in the drive: turns of its output per turn of the motor.", above=True
+    rotor_to_output_ratio: float = positive(
+        1.0, "", "As in the drive: turns of its output per turn of the motor.", most=1e9
     )
 
     def check_together(self) -> None:
@@ -174,29 +153,26 @@ class MoteusTable(MoteusOptions):
 
 
 @final
-class MoteusHwMotor:
-    """One moteus on a CAN FD bus, by id; shared by all logical motors and threads.
+class MoteusHwMotor(CanHardware[MoteusOptions]):
+    """One moteus on a CAN FD bus, by id; see `CanHardware`.
 
     Attributes:
-        drive: its connection.
         status: the last reply, or None.
+        is_over: whether the last command has ended.
         started_ns, ended_ns: when the last motion began and ended [ns]; None: not known.
-        users: the number of motors built on it from settings; the last one closes it.
     """
 
-    def __init__(
-        self,
-        bus: "can.BusABC",
-        node_id: int,
-        *,
-        runtime: "Runtime | None" = None,
-        options: MoteusOptions | None = None,
-    ) -> None:
-        self.node_id: Final = checked_node(node_id, NODE_ID_MAX, "node_id of a moteus")
-        self.options: Final = MoteusOptions() if options is None else options
+    OPTIONS = MoteusOptions
+    NOUN = "a moteus"
+    NODE_ID_MAX = NODE_ID_MAX
+    LACKS = "reply with status and versions"
+    CONNECT_S = 1.0
+    FD = True
+
+    def _begin(self) -> None:
+        node_id, drive = self.node_id, self.drive
         self.status: Status | None = None
-        self.users = 0
-        self.is_over: bool = True  # the last command
+        self.is_over: bool = True
         self.started_ns: int | None = None
         self.ended_ns: int | None = None
         self._register_map: int | None = None
@@ -206,37 +182,24 @@ class MoteusHwMotor:
         self._sent: SentFrame | None = None  # the last command
         self._window = 0.0
         self._last: tuple[Callable[..., SentFrame], bytes] | None = None
-        self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime, fd=True)
-        self.label: Final = self.drive.label
-        self._life = self.drive.expect("reply", self.options.timeout_ms / 1e3, self._lose)
+        self._life = drive.expect("reply", self.options.timeout_ms / 1e3, self._lose)
         reply_id = node_id << 8
-        self.drive.handle(reply_id | (_EXTENDED if reply_id > _STANDARD else 0), self._on_reply)
+        drive.handle(reply_id | (_EXTENDED if reply_id > _STANDARD else 0), self._on_reply)
         for destination in (node_id, _BROADCAST):
-            self.drive.handle(destination, self._on_foreign)
-            self.drive.handle(destination | _REPLY | _EXTENDED, self._on_foreign)
-        self.drive.every(self.options.poll_ms / 1e3, self._poll)
+            drive.handle(destination, self._on_foreign)
+            drive.handle(destination | _REPLY | _EXTENDED, self._on_foreign)
+        drive.every(self.options.poll_ms / 1e3, self._poll)
 
-    @property
-    def is_closed(self) -> bool:
-        """True after `close`."""
-        return self.drive.is_closed
+    def _greet(self) -> None:
+        self._ask(_IDENTITY)
 
-    def close(self) -> None:
-        """Stop sending and receiving; the watchdog of the drive ends a motion."""
-        is_at_rest, self._fed = self.is_over and self._fed is None, None
-        self.drive.close(at_rest=is_at_rest)
+    def _knows(self) -> bool:
+        return self.status is not None and self._register_map is not None
 
-    def connect(self) -> None:
-        """Wait until the drive is heard, and check its register map.
+    def _rests(self) -> bool:
+        return self.is_over and self._fed is None
 
-        Raises:
-            LinkError: it is not heard, or this object is closed, or the bus is off.
-            PeerError: its firmware has another register map.
-        """
-        if self.is_up():
-            return
-        lacks = "reply with status and versions"
-        self.drive.connect(self.is_up, lambda: self._ask(_IDENTITY), _CONNECT_S, lacks)
+    def _connected(self) -> None:
         if self._register_map != REGISTER_MAP:
             found, self._register_map = self._register_map, None
             raise PeerError(
@@ -250,11 +213,12 @@ class MoteusHwMotor:
             (fd(self.node_id | _REPLY, 48, extended=True),),
         )
 
-    def is_up(self) -> bool:
-        """Return whether all is known that commands need."""
-        known = self.status is not None and self._register_map is not None
-        return known and not self.drive.is_lost
+    def forget(self) -> None:
+        """Repeat no command, and forget what the drive was told."""
+        self._fed = None
+        super().forget()
 
+    @property
     def fault(self) -> Fault | None:
         """Return the fault of the last reply, or None."""
         status = self.status
@@ -390,12 +354,8 @@ class MoteusHwMotor:
     def _on_foreign(self, data: bytes, time_ns: int) -> None:
         """Handle a command of another program, which gives all in one frame."""
         if data.startswith(_MODE_WRITE):
-            self._lose()
+            self.forget()
             self.drive.overheard(f"mode {data[2:3].hex()}h", time_ns)
-
-    def _lose(self) -> None:
-        self._fed = None
-        self.drive.doubt()
 
 
 def hold(deceleration: float) -> Order:
@@ -408,73 +368,56 @@ def _padded(data: bytes) -> bytes:
 
 
 @final
-class MoteusMotor(Motor):
+class MoteusMotor(CanMotor[MoteusHwMotor]):
     """A logical motor on a moteus; several of them may share one hardware object."""
 
-    def __init__(
-        self,
-        hardware: MoteusHwMotor,
-        model: MotorModel,
-        *,
-        name: str | None = None,
-        on_close: Callable[[], None] | None = None,
-    ) -> None:
-        drive = hardware.drive
-        super().__init__(
-            name=name,
-            model=model,
-            runtime=drive.runtime,
-            physical=drive.physical,
-            on_close=on_close,
-        )
-        if model.gear_ratio is None:
-            raise UsageError(f"motor model {model.name}: gear_ratio is missing; give it")
-        self._hardware = hardware
-        turns = model.gear_ratio * hardware.options.rotor_to_output_ratio
-        is_rotary = model.kind is MotionKind.ROTARY
-        self._rev: Final = turns / (tau if is_rotary else 1.0)  # per rad (or m), signed
-        self._n_m: Final = turns * (1.0 if is_rotary else tau)  # N·m (or N) per N·m of the drive
-        self._window: Final = _WINDOW * model.start_tolerance * abs(self._rev)
+    def _units_of(self, model: MotorModel) -> float:
+        """Return turns of the output per unit of the model, signed."""
+        ratio, units = self.hardware.options.rotor_to_output_ratio, motor_turns(model)
+        turns = (model.gear_ratio or 0.0) * ratio
+        self._n_m = turns * (1.0 if model.kind is MotionKind.ROTARY else tau)
+        return units * ratio
 
-    def _connect(self) -> None:
-        self._hardware.connect()
+    @property
+    def _window(self) -> float:
+        return _WINDOW * self.model.start_tolerance * abs(self._units)
 
     def _latest(self) -> Measurement | None:
-        status = self._hardware.status
+        status = self.hardware.status
         if status is None:
             return None
         state = _STATES.get(status.mode, MotorState.DISABLED)
         error = status.control - status.position if status.mode == POSITION else 0.0
         return Measurement(
-            *(status.time_ns, state, status.position / self._rev, status.velocity / self._rev),
-            *(status.torque * self._n_m, error / self._rev),
+            *(status.time_ns, state, status.position / self._units, status.velocity / self._units),
+            *(status.torque * self._n_m, error / self._units),
         )
 
     def _enable(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         status = hardware.status
         if status is not None and status.mode == TIMEOUT:
             hardware.obey(_STOP, lambda one: one.mode == STOPPED, "mode 0")
-        order = hold(abs(self.model.deceleration * self._rev))
+        order = hold(abs(self.model.deceleration * self._units))
         hardware.obey(order.packed(nan), lambda one: one.mode in (FAULT, POSITION), "mode 10")
         self._check_fault()
 
     def _disable(self) -> None:
-        self._hardware.obey(_STOP, lambda one: one.mode == STOPPED, "mode 0")
+        self.hardware.obey(_STOP, lambda one: one.mode == STOPPED, "mode 0")
 
     def _command(self, motion: Motion) -> None:
-        size = abs(self._rev)
+        size = abs(self._units)
         ramp = min(motion.acceleration, motion.deceleration) * size
         if motion.variable is ControlVariable.POSITION:
-            order = Order(motion.target * self._rev, 0.0, motion.velocity * size, ramp)
-            self._hardware.begin(order, self._window)
+            order = Order(motion.target * self._units, 0.0, motion.velocity * size, ramp)
+            self.hardware.begin(order, self._window)
             return
-        order = Order(nan, motion.target * self._rev, -1.0, ramp)
-        self._hardware.begin(order, _REACHED * self.model.velocity_max * size)
+        order = Order(nan, motion.target * self._units, -1.0, ramp)
+        self.hardware.begin(order, _REACHED * self.model.velocity_max * size)
 
     def _stop(self) -> None:
         size = self._physical.stop_deceleration(self.model.deceleration)
-        self._hardware.brake(size * abs(self._rev), self._window)
+        self.hardware.brake(size * abs(self._units), self._window)
 
     # --- capabilities
 
@@ -482,10 +425,10 @@ class MoteusMotor(Motor):
         return variable in (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
     def _sync_offer(self) -> SyncOffer:
-        return self._hardware.start_offer()
+        return self.hardware.start_offer()
 
     def _motion_times(self) -> MotionTimes | None:
-        started_ns, ended_ns = self._hardware.started_ns, self._hardware.ended_ns
+        started_ns, ended_ns = self.hardware.started_ns, self.hardware.ended_ns
         source = "its command on the wire; trajectory complete in a reply"
         return MotionTimes(started_ns, ended_ns, source, latched_ns=started_ns)
 
@@ -495,7 +438,7 @@ class MoteusMotor(Motor):
         return replace(motion, acceleration=least, deceleration=least)
 
     def _is_done(self) -> bool:
-        hardware, run = self._hardware, self._physical.run
+        hardware, run = self.hardware, self._physical.run
         hardware.drive.check()
         self._check_fault()
         status = hardware.status
@@ -508,53 +451,29 @@ class MoteusMotor(Motor):
         return hardware.is_over
 
     def _read_reference(self) -> float:
-        status = self._hardware.status
+        status = self.hardware.status
         if status is None or status.mode != POSITION:
             return self._read_position()
-        self._hardware.drive.check()
-        return status.control / self._rev
+        self.hardware.drive.check()
+        return status.control / self._units
 
     def _read_fault(self) -> Fault | None:
-        return self._hardware.fault()
+        return self.hardware.fault
 
     def _reset_fault(self) -> None:
         self._disable()
         self._check_fault()
 
     def _home(self, method: int | None) -> None:
-        if method not in _HERE:
-            feature = f"homing by method {method}"
-            raise UnsupportedError(motor=self.name, feature=feature, supported="35, 37")
-        self._hardware.call_here_zero(self._window)
+        require_here(self.name, method)
+        self.hardware.call_here_zero(self._window)
 
     def _read_referenced(self) -> bool:
-        status = self._hardware.status
+        status = self.hardware.status
         return status is not None and status.home == _HOME_OUTPUT
 
     def _position_source(self) -> str:
         return "register 001h"
 
-    def _open_low_level(self) -> MoteusHwMotor:
-        return self._hardware
 
-    def _close_low_level(self) -> None:
-        self._hardware.drive.doubt()
-
-
-_SHARED: Final[Shared[MoteusHwMotor]] = Shared("drive")
-
-
-@adaptation(api=1)
-def build(
-    bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
-) -> MoteusMotor:
-    """Build the motor that a table of settings describes; motors on one drive share it.
-
-    Raises:
-        UsageError: a setting is unknown, missing, or wrong.
-    """
-    own = read_settings(MoteusTable, settings)
-    hardware, give_back = _SHARED.on_can(
-        MoteusHwMotor, bus, own.node_id, runtime, own.part(MoteusOptions)
-    )
-    return MoteusMotor(hardware, model, name=own.name, on_close=give_back)
+build = adaptation(api=1)(CanBuilder(MoteusTable, MoteusHwMotor, MoteusMotor))

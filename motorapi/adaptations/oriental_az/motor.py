@@ -12,9 +12,11 @@
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.motorapi.adaptations.modbus.polled_builder import PolledBuilder
+from motorhil.motorapi.adaptations.modbus.polled_builder import BUS_KINDS, PolledTable
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
+from motorhil.motorapi.api.line_builder import LineBuilder
 from motorhil.motorapi.api.polled_motor import PolledMotor
+from motorhil.motorapi.api.registration import adaptation
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
 
@@ -65,4 +67,6 @@ class OrientalAzMotor(PolledMotor[OrientalAzHwMotor]):
         self.hardware.limit_current(None if ratio is None else int(ratio * 1000.0 + 1e-9))
 
 
-build: Final = PolledBuilder(OrientalAzHwMotor, OrientalAzMotor)
+build: Final = adaptation(api=1, bus_kinds=BUS_KINDS)(
+    LineBuilder(PolledTable, OrientalAzHwMotor, OrientalAzMotor)
+)

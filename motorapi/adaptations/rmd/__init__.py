@@ -1,6 +1,5 @@
 """Adaptation for MyActuator RMD actuators on CAN."""
 
-from motorhil.motorapi.adaptations.rmd.hardware import RmdHwMotor, RmdOptions
-from motorhil.motorapi.adaptations.rmd.motor import RmdMotor, build
+from motorhil.motorapi.adaptations.rmd.motor import RmdHwMotor, RmdMotor, RmdOptions, build
 
 __all__ = ["RmdHwMotor", "RmdMotor", "RmdOptions", "build"]

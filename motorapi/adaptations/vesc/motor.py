@@ -8,47 +8,147 @@
 | stop, halt, quick stop                   | SET_POS, streamed along a braking ramp, then held    |
 | enable; disable                          | SET_POS to the present angle; SET_CURRENT 0          |
 
-The motor interface's states are those of this program: a VESC reports none of its own.
+A VESC has no profile generator, acknowledges no command, and reports neither its mode nor a fault
+in its status frames. So the host does three things at all times:
+
+- It streams every motion (`SetpointStream`). A position is an angle within `position_turns` turns
+  of the motor; the controller takes the shorter way, so that small steps go on over many turns.
+- It asks for the fault. A fault clears itself after half a second; the host keeps it until
+  `reset_fault`, so that no application misses it.
+- It sends ALIVE while it is the last commander, as the controller releases its motor otherwise.
+
+The position combines the angle (STATUS_4, fine, of few turns) and the tachometer (STATUS_5, coarse,
+of all turns since power-on). At power-on it is 0 to a span of angles. A loss of frames does not
+change the position at power-on; a restart does. The tachometer or a notice of the drive tells which
+it was.
+
+Source: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
 """
 
-from collections.abc import Callable, Mapping
+from binascii import crc_hqx
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from math import tau
+from enum import IntEnum
+from functools import partial
+from struct import Struct
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.adaptations.vesc.hardware import (
-    MODES,
-    NODE_ID_MAX,
-    Mode,
-    VescHwMotor,
-    VescOptions,
-)
 from motorhil.motorapi.api import (
     REQUIRED,
+    CanBuilder,
     ControlVariable,
+    Estimate,
+    Fault,
+    LinkError,
     Measurement,
     Motion,
-    MotionKind,
+    MotorError,
     MotorModel,
-    MotorState,
-    Shared,
+    Options,
+    PeerError,
+    PeriodicMessage,
+    SentFrame,
+    StreamedCanHardware,
     StreamedMotor,
+    SyncOffer,
     UsageError,
     adaptation,
-    read_settings,
+    amount,
+    motor_turns,
+    number,
+    positive,
     text,
     whole,
 )
 
 if TYPE_CHECKING:
-    import can
+    from motorhil.motorapi.api import BoundFence
 
-    from motorhil.motorapi.api import Runtime
+NODE_ID_MAX: Final = 254
+FOLLOWING_ERROR: Final = 0x8611  # found by the host; the number is that of CiA 402
+FIRMWARES: Final = (6, 7)  # major versions with the frames used here
+FAULTS: Final = {
+    **{1: "over voltage", 2: "under voltage", 3: "gate driver", 4: "absolute over current"},
+    **{5: "over temperature of the MOSFETs", 6: "over temperature of the motor"},
+    **{7: "gate driver over voltage", 8: "gate driver under voltage", 9: "MCU under voltage"},
+    **{10: "booting from watchdog reset", 11: "encoder SPI", 12: "encoder below minimum"},
+    **{13: "encoder above maximum", 14: "flash corruption", 15: "offset of current sensor 1"},
+    **{16: "offset of current sensor 2", 17: "offset of current sensor 3"},
+    **{18: "unbalanced currents", 19: "brake", 20: "resolver LOT", 21: "resolver DOS"},
+    **{22: "resolver LOS", 23: "flash corruption of the app", 24: "flash corruption of the motor"},
+    **{25: "encoder without magnet", 26: "encoder magnet too strong", 27: "phase filter"},
+    **{28: "encoder", 29: "LV output", 30: "encoder slip", 31: "overspeed", 32: "underspeed"},
+    33: "absolute overspeed",
+}
 
+_STATUS, _STATUS_4, _STATUS_5, _NOTIFY_BOOT = 9, 16, 27, 57
+_FILL, _PROCESS, _SHORT = 5, 7, 8
+_FW_VERSION, _SELECTIVE, _ALIVE = 0, 50, 30
+_VERSION_BYTES: Final = 3  # at least: packet, major, minor
+_FAULT_MASK: Final = bytes((_SELECTIVE, 0, 0, 0x80, 0))
+_COMMANDS: Final = (*range(5), *range(10, 14))  # that move or stop the motor
+_MOVING: Final = (*range(5, 11), 29, 84, 159)  # packets that move or stop the motor
+_ERPM: Final = Struct(">i4x")
+_ANGLE: Final = Struct(">6xh")
+_TACHOMETER: Final = Struct(">i4x")
+_VALUE: Final = Struct(">i")
+_STATUS_S: Final = 0.01  # least usual period of the status frames
+_PACKET_S: Final = 0.025  # of ALIVE, and of asking for the fault, in turns
+_NEAR: Final = 0.05  # turns: a position so little below a span is one below 0
+_FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is the wrong one
+_ANSWER_S: Final = 0.2
+_SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
+_BOOTED_NS: Final = 1_000_000_000
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
 _FAULT_STOP_S: Final = 2.0  # a fault clears itself after 0.5 s, unless its cause lasts
-_ASK_S: Final = 0.05
 _ARRIVAL_S: Final = 2.0  # after the last set-point
+
+
+class Mode(IntEnum):
+    """The commands that this adaptation sends, with the scale of their number."""
+
+    CURRENT = 1
+    BRAKE = 2
+    SPEED = 3
+    POSITION = 4
+
+
+MODES: Final = {
+    ControlVariable.POSITION: Mode.POSITION,
+    ControlVariable.VELOCITY: Mode.SPEED,
+    ControlVariable.CURRENT: Mode.CURRENT,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VescOptions(Options):
+    """The options of a hardware object; in a rig, keys of the motor's table."""
+
+    host_id: int | None = whole(
+        None, 0, 254, "", "Own id on the bus, of no other node; absent: 128 + node_id."
+    )
+    pole_pairs: int = whole(7, 1, 1000, "", "ERPM per rpm, as configured (motor poles / 2).")
+    position_turns: float = positive(
+        1.0, "", "Turns of the motor in 360 degrees of position.", most=1e6
+    )
+    erpm_min: float = amount(900.0, "", "Least ERPM of speed control, as configured.")
+    stream_period_ms: float = number(
+        5.0, 0.1, 500.0, "ms", "Period of streamed set-points.", plausible=(1.0, 50.0)
+    )
+    lead_ms: float = amount(
+        *(16.5, "ms", "Lead of streamed positions: kd / kp, and half a period.", (0.1, 200.0)),
+        most=1000.0,
+    )
+    status_timeout_ms: float = positive(
+        *(200.0, "ms", "Time without one of its STATUS, 4 or 5 until it is lost.", (10.0, 5000.0)),
+        most=1e6,
+    )
+    brake_current_a: float = amount(
+        *(10.0, "A", "Brake current of a stop by a program that does not own the motor."),
+        *((0.01, 1000.0),),
+        most=1e4,
+    )
 
 
 @final
@@ -61,52 +161,339 @@ class VescTable(VescOptions):
 
 
 @final
-class VescMotor(StreamedMotor[VescHwMotor]):
-    """A logical motor on a VESC; several of them may share one hardware object.
+class VescHwMotor(StreamedCanHardware[VescOptions]):
+    """One VESC on a CAN bus, by controller id; see `StreamedCanHardware`. Positions are in turns.
 
-    Args:
-        hardware: the controller.
-        model: the motor's constants; its gear ratio is required.
-        name: its name in messages and records; None: the model's name and the drive's place.
-        on_close: called once when the motor is closed. The hardware object belongs to its creator.
-
-    Raises:
-        UsageError: the model has no gear ratio.
+    Attributes:
+        held: the last position sent [turns]; None: positions are not controlled.
     """
 
-    def __init__(
-        self,
-        hardware: VescHwMotor,
-        model: MotorModel,
-        *,
-        name: str | None = None,
-        on_close: Callable[[], None] | None = None,
-    ) -> None:
-        is_rotary = model.kind is MotionKind.ROTARY
-        if model.gear_ratio is None:
-            key = "gear_ratio" if is_rotary else "motor_turns_per_m"
+    OPTIONS = VescOptions
+    NOUN = "a VESC"
+    NODE_ID_MAX = NODE_ID_MAX
+    LACKS = "STATUS, STATUS_4 and STATUS_5"
+    EXTENDED = True
+
+    def _begin(self) -> None:
+        own, node_id = self.options, self.node_id
+        self._host_id = 128 + node_id if own.host_id is None else own.host_id
+        if self._host_id > NODE_ID_MAX or self._host_id == node_id:
             raise UsageError(
-                f"motor model {model.name}: {key} is missing, and a VESC counts turns of the"
-                f" motor; expected {key} = 1.0 if there is no gear; add it"
+                f"host_id = {self._host_id} for node_id {node_id}: not usable; expected a free id"
+                f" of 0 to {NODE_ID_MAX}; give host_id"
             )
-        turns = model.gear_ratio / (tau if is_rotary else 1.0)
-        super().__init__(hardware, model, turns, name=name, on_close=on_close)
+        self._stream(own.stream_period_ms, own.lead_ms)
+        self.held: float | None = None
+        self.reports: int = 0  # answers about the fault
+        self._reported = 0
+        self._firmware: tuple[int, int] | None = None
+        self._velocity = 0.0
+        self._angle: float | None = None
+        self._angle_ns = 0
+        self._power_on: float | None = None  # position at power-on [turns], 0 to a span
+        self._tachometer = (0.0, 0.0, 0)  # the last one [turns], velocity then, time [ns]
+        self._is_kept = False  # whether the position at power-on is from before the last loss
+        self._packet = b""
+        self._since_ns = 0  # first frame since the drive was lost
+        self._asks = self._is_known = False  # whether it was connected once
+        self._feeds = False  # whether this program was the last to command the drive
+        self._life, self._angles, self._counts = (
+            self.drive.expect(name, own.status_timeout_ms / 1e3, self._lose)
+            for name in ("STATUS", "STATUS_4", "STATUS_5")
+        )
+        self._answers = self.drive.expect("answer to GET_VALUES_SELECTIVE", _SILENCE_S)
+        self._listen()
+        self.drive.every(_PACKET_S, self._keep_alive)
+
+    def _listen(self) -> None:
+        own, host = self.node_id, self._host_id
+        handlers: dict[int, Callable[[bytes, int], None]] = {
+            _STATUS << 8 | own: self._on_status,
+            _STATUS_4 << 8 | own: self._on_angle,
+            _STATUS_5 << 8 | own: self._on_tachometer,
+            _NOTIFY_BOOT << 8 | own: self._on_boot,
+            _SHORT << 8 | own: self._on_foreign_packet,
+            _SHORT << 8 | host: self._on_answer,
+            _FILL << 8 | host: self._on_part,
+            _PROCESS << 8 | host: self._on_end,
+            **{one << 8 | own: partial(self._on_foreign, one) for one in _COMMANDS},
+        }
+        for can_id, handler in handlers.items():
+            self.drive.handle(can_id, handler)
+
+    def connect(self) -> None:
+        """Wait until the drive is heard, and check its firmware; free if this is known.
+
+        Raises:
+            LinkError: the drive is not heard, or this object is closed, or the bus is off.
+            PeerError: its status frames are off, or its firmware is not known.
+        """
+        try:
+            super().connect()
+        except LinkError as error:
+            if self._firmware is None or self.drive.is_closed or self.drive.status.is_off:
+                raise
+            raise PeerError(
+                f"{self.label}: it answers, but sends no {self.LACKS} within {self.CONNECT_S:g} s;"
+                " expected bits 0, 3 and 4 of its CAN status messages, which are off by default;"
+                " set them (VESC Tool: App Settings, General, CAN Status Messages)"
+            ) from error
+
+    def _connected(self) -> None:
+        assert self._firmware is not None  # of _knows
+        major, minor = self._firmware
+        if major not in FIRMWARES:
+            self._firmware = None
+            known = " and ".join(f"{one}.x" for one in FIRMWARES)
+            raise PeerError(
+                f"{self.label}: firmware {major}.{minor:02d} is not supported; expected {known};"
+                " update it"
+            )
+        self._is_known = True
+        self._note_traffic()
+
+    def _knows(self) -> bool:
+        return self._firmware is not None and self.estimate is not None and self.reports > 0
+
+    @property
+    def is_on(self) -> bool:
+        """True while this program controls the motor."""
+        return self.motions.variable is not None
+
+    # --- commands: values in A, turns/s, turns
+
+    def tell(self, mode: Mode, value: float, fence: "BoundFence | None" = None) -> SentFrame:
+        """Send a command, only while this program owns the motor.
+
+        Raises:
+            LinkError: the bus does not accept the frame.
+            MotorBusyError: another user owns the motor, or has low-level access.
+        """
+        sent = self.drive.command(mode << 8 | self.node_id, self._encoded(mode, value), fence=fence)
+        self._feeds = True
+        self.held = value if mode is Mode.POSITION else None
+        return sent
+
+    def release(self) -> SentFrame:
+        """Release the motor, which then coasts."""
+        self.motions.forget()
+        return self.tell(Mode.CURRENT, 0.0)
+
+    def stop_anyway(self) -> SentFrame:
+        """Brake, whoever owns the motor."""
+        data = self._encoded(Mode.BRAKE, self.options.brake_current_a)
+        return self.drive.stop_command(Mode.BRAKE << 8 | self.node_id, data)
+
+    def send(
+        self, variable: ControlVariable, value: float, fence: "BoundFence | None"
+    ) -> SentFrame:
+        """Send a set-point in turns, turns/s or A."""
+        return self.tell(MODES[variable], value, fence)
+
+    def start_offer(self) -> SyncOffer:
+        """Return the offer of a start by the first set-point; all of them have 4 bytes."""
+        return self.drive.start_offer(Mode.POSITION << 8 | self.node_id, _VALUE.size)
+
+    def scale(self, mode: Mode) -> float:
+        """Return the number of a command for 1 of its value."""
+        if mode is Mode.SPEED:
+            return 60.0 * self.options.pole_pairs
+        return 360e6 / self.options.position_turns if mode is Mode.POSITION else 1e3
+
+    def _encoded(self, mode: Mode, value: float) -> bytes:
+        raw = round(value * self.scale(mode))
+        return _VALUE.pack(raw % 360_000_000 if mode is Mode.POSITION else raw)
+
+    # --- requests
+
+    def read_fault(self) -> int:
+        """Return the fault code that the drive reports now; 0: none.
+
+        Raises:
+            DeadlineExceeded: it does not answer.
+        """
+        before = self.reports
+        self.drive.exchange(
+            lambda: self._ask(_FAULT_MASK),
+            lambda: self.reports > before,
+            *(_ANSWER_S, "answer to GET_VALUES_SELECTIVE", _PACKET_S),
+        )
+        return self._reported
+
+    def _ask(self, packet: bytes, mode: int = 0) -> None:
+        """Send a packet that only reads or keeps alive; do not wait."""
+        data = bytes((self._host_id, mode)) + packet
+        self.drive.request(_SHORT << 8 | self.node_id, data)
+
+    def _greet(self) -> None:
+        self._ask(bytes((_FW_VERSION,)))
+        self._ask(_FAULT_MASK)
+
+    def _keep_alive(self) -> None:
+        """Feed the drive's timeout and ask for its fault, in turns."""
+        self._asks = not self._asks
+        if not self._is_known or self.drive.status.is_off:
+            return
+        with suppress(LinkError):
+            if self._asks:
+                self._ask(_FAULT_MASK)
+            elif self._feeds:
+                self._ask(bytes((_ALIVE,)), mode=2)
+
+    def _note_traffic(self) -> None:
+        sent = [(one, 8, _STATUS_S) for one in (_STATUS, _STATUS_4, _STATUS_5)]
+        stream_s = self.options.stream_period_ms / 1e3
+        ours = [(Mode.POSITION, 4, stream_s), (_SHORT, 7, _PACKET_S)]
+        of_drive, of_host = (
+            tuple(
+                PeriodicMessage(command << 8 | self.node_id, size, period_s, extended=True)
+                for command, size, period_s in messages
+            )
+            for messages in (sent, ours)
+        )
+        self.drive.note_traffic(of_drive, of_host)
+
+    # --- frames of the drive
+
+    def _on_status(self, data: bytes, time_ns: int) -> None:
+        if len(data) == _ERPM.size:
+            self._velocity = _ERPM.unpack(data)[0] / (60.0 * self.options.pole_pairs)
+            if self._life.came(time_ns):
+                self._since_ns = time_ns
+
+    def _on_angle(self, data: bytes, time_ns: int) -> None:
+        if len(data) == _ANGLE.size:
+            self._angle = _ANGLE.unpack(data)[0] / 18_000.0 * self.options.position_turns
+            self._angle_ns = time_ns
+            self._angles.came(time_ns)
+
+    def _on_tachometer(self, data: bytes, time_ns: int) -> None:
+        angle, span = self._angle, self.options.position_turns
+        if len(data) != _TACHOMETER.size:
+            return
+        self._counts.came(time_ns)
+        if angle is None:
+            return
+        turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
+        offset = angle + self._velocity * (time_ns - self._angle_ns) / 1e9 - turns
+        power_on, is_doubtful = self._power_on, self._is_kept and self.estimate is None
+        if power_on is None or (
+            is_doubtful and self._has_restarted(offset - power_on, turns, time_ns)
+        ):
+            self._power_on = offset % span
+            if self._power_on > span - _NEAR:
+                self._power_on -= span
+            self._is_kept = False
+        self._tachometer = turns, self._velocity, time_ns
+        position = angle + span * round((self._power_on + turns - angle) / span)
+        before = self.estimate
+        if before is not None:
+            possible = abs(self._velocity) + abs(before.velocity)
+            possible *= (time_ns - before.time_ns) / 1e9
+            if abs(position - before.position) > _FOLLOW_MAX * span + possible:
+                self._restart()
+                return
+        self.estimate = Estimate(position, self._velocity, time_ns)
+        self._check_following(position)
+
+    def _has_restarted(self, change: float, turns: float, now_ns: int) -> bool:
+        """Return whether the first tachometer after a loss begins anew.
+
+        `change` is that of the position at power-on, as it seems, and may be off by whole spans.
+        """
+        span, speed = self.options.position_turns, abs(self._velocity)
+        before, velocity, time_ns = self._tachometer
+        difference = (change + span / 2.0) % span - span / 2.0
+        possible = 1.0 + (speed + abs(velocity)) * (now_ns - time_ns) / 1e9
+        return abs(difference) > _NEAR + speed * _STATUS_S or abs(turns - before) > possible
+
+    def _check_following(self, position: float) -> None:
+        """Stop a motion whose motor is so far behind that the controller would turn back."""
+        limit = _FOLLOW_MAX * self.options.position_turns
+        if self.held is not None and abs(self.held - position) >= limit:
+            self.fail(f"the motor is {limit:.3g} turns or more off its set-point")
+
+    def fail(self, problem: str) -> None:
+        """Report a following error, and brake."""
+        self._raise_fault(FOLLOWING_ERROR, problem)
+        with suppress(MotorError):
+            self.stop_anyway()
+
+    def _raise_fault(self, code: int, problem: str) -> None:
+        self.fault = Fault(code, problem, self.drive.runtime.now_ns())
+        self.motions.forget()
+        self.held = None
+
+    def _on_boot(self, data: bytes, time_ns: int) -> None:
+        """Note a restart; the notice of a start comes half a second after the first frames."""
+        if time_ns - self._since_ns > _BOOTED_NS or self._is_kept:
+            self._restart()
+
+    def _on_answer(self, data: bytes, time_ns: int) -> None:
+        if data[:1] != bytes((self.node_id,)) or data[2:7] != _FAULT_MASK or len(data) < 8:
+            return
+        self.reports += 1
+        self._answers.came(time_ns)
+        self._reported = data[7]
+        if data[7] and (self.fault is None or self.fault.code != data[7]):
+            self._raise_fault(data[7], FAULTS.get(data[7], "unknown fault"))
+
+    def _on_part(self, data: bytes, time_ns: int) -> None:
+        if data[:1] == b"\0":
+            self._packet = data[1:]
+        elif data[:1] == bytes((len(self._packet) & 0xFF,)):
+            self._packet += data[1:]
+
+    def _on_end(self, data: bytes, time_ns: int) -> None:
+        packet, self._packet = self._packet, b""
+        told = int.from_bytes(data[2:4], "big"), int.from_bytes(data[4:6], "big")
+        is_whole = told == (len(packet), crc_hqx(packet, 0)) and len(packet) >= _VERSION_BYTES
+        if data[:1] == bytes((self.node_id,)) and is_whole and packet[0] == _FW_VERSION:
+            self._firmware = packet[1], packet[2]
+
+    # --- frames of other programs
+
+    def _on_foreign(self, command: int, data: bytes, time_ns: int) -> None:
+        self.forget()
+        self.drive.overheard(f"command {command}", time_ns)
+
+    def _on_foreign_packet(self, data: bytes, time_ns: int) -> None:
+        if len(data) > 2 and data[2] in _MOVING:
+            self.forget()
+            self.drive.overheard(f"packet {data[2]}", time_ns)
+
+    def forget(self) -> None:
+        """Forget what the drive was told: another program commands it, or it was lost."""
+        super().forget()
+        self._feeds = False
+        self.held = None
+
+    def _lose(self) -> None:
+        super()._lose()
+        self._firmware = self._angle = self.estimate = None
+        self.reports = 0
+        self._is_kept = self._power_on is not None
+
+    def _restart(self) -> None:
+        """Forget also what began anew with the drive."""
+        self._power_on = None
+        self._lose()
+
+
+@final
+class VescMotor(StreamedMotor[VescHwMotor]):
+    """A logical motor on a VESC; several of them may share one hardware object."""
+
+    def _units_of(self, model: MotorModel) -> float:
+        return motor_turns(model)
 
     def _latest(self) -> Measurement | None:
-        hardware, last = self.hardware, self.hardware.estimate
-        if last is None:
-            return None
-        is_off = hardware.motions.variable is None
-        state = MotorState.DISABLED if is_off else MotorState.ENABLED
-        if hardware.fault is not None:
-            state = MotorState.FAULT
-        position, velocity = last.position / self._units, last.velocity / self._units
-        return Measurement(last.time_ns, state, position, velocity)
+        return self.hardware.measurement(self._units)
 
     def _enable(self) -> None:
         hardware = self.hardware
         self._check_fault()
-        if hardware.motions.variable is not None:
+        if hardware.is_on:
             return  # it holds, after a quick stop
         self._hold()
         hardware.read_fault()
@@ -152,12 +539,7 @@ class VescMotor(StreamedMotor[VescHwMotor]):
         return self._rounded(motion, step)
 
     def _reset_fault(self) -> None:
-        hardware = self.hardware
-        end_ns = self.runtime.now_ns() + round(_FAULT_STOP_S * 1e9)
-        while hardware.read_fault() and self.runtime.now_ns() < end_ns:
-            self.runtime.wait_until(lambda: False, _ASK_S)
-        if not hardware.read_fault():
-            hardware.fault = None
+        self.hardware.await_clear(self.hardware.read_fault, _FAULT_STOP_S)
         self._check_fault()
 
     def _is_done(self) -> bool:
@@ -173,20 +555,4 @@ class VescMotor(StreamedMotor[VescHwMotor]):
         return "angle of STATUS_4 (10h) with the turns of STATUS_5 (1Bh)"
 
 
-_SHARED: Final[Shared[VescHwMotor]] = Shared("VESC")
-
-
-@adaptation(api=1)
-def build(
-    bus: "can.BusABC", settings: Mapping[str, object], model: MotorModel, runtime: "Runtime"
-) -> VescMotor:
-    """Build the motor that a table of settings describes; motors on one controller share it.
-
-    Raises:
-        UsageError: a setting is unknown, missing, or wrong.
-    """
-    own = read_settings(VescTable, settings)
-    hardware, give_back = _SHARED.on_can(
-        VescHwMotor, bus, own.node_id, runtime, own.part(VescOptions)
-    )
-    return VescMotor(hardware, model, name=own.name, on_close=give_back)
+build = adaptation(api=1)(CanBuilder(VescTable, VescHwMotor, VescMotor, "VESC"))

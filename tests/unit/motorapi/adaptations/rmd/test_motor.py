@@ -160,7 +160,7 @@ def test_echo_after_an_interruption_is_not_an_angle(deaf_s):
         for _ in range(100):
             rig.runtime.run_for(0.002)
             if hardware.estimate is not None:
-                seen.append(hardware.estimate.angle)
+                seen.append(hardware.estimate.position)
         assert seen
         assert min(seen) > 100.0
         assert motor.state() is MotorState.DISABLED

@@ -14,8 +14,7 @@ from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.motorapi import ControlMode, ControlVariable, MotorState
-from motorhil.motorapi.adaptations.vesc.hardware import Mode
-from motorhil.motorapi.adaptations.vesc.motor import VescMotor
+from motorhil.motorapi.adaptations.vesc.motor import Mode, VescMotor
 from motorhil.motorapi.errors import (
     DeviceFault,
     LinkError,
