@@ -22,9 +22,9 @@ from motorhil.motorapi.adaptations.dynamixel.packets import DynamixelCodec
 from motorhil.motorapi.adaptations.mit.frames import Frames
 from motorhil.motorapi.adaptations.mit.robstride import RobstrideFrames
 from motorhil.motorapi.adaptations.moteus import motor as moteus
-from motorhil.motorapi.adaptations.rmd.hardware import RmdHwMotor
-from motorhil.motorapi.adaptations.vesc import hardware as vesc
-from motorhil.motorapi.adaptations.vesc.hardware import VescHwMotor
+from motorhil.motorapi.adaptations.rmd.motor import RmdHwMotor
+from motorhil.motorapi.adaptations.vesc import motor as vesc
+from motorhil.motorapi.adaptations.vesc.motor import VescHwMotor
 from motorhil.motorapi.locking.lock_file import LockFile, write_epoch
 from tests.attack import __main__ as program
 from tests.attack import controllers, damaged_files, growth, lock_kills, lying_medium
