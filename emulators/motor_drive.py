@@ -126,6 +126,10 @@ class MotorDrive(ABC):
         """Return a number that grows with every change of the identifiers."""
         return self.revision
 
+    def renumber(self) -> None:
+        """Note that the identifiers have changed."""
+        self.revision += 1
+
     # --- times
 
     def is_due(self, name: Hashable) -> bool:

@@ -109,7 +109,10 @@ class Servo(MotorDrive):
         SettingError: a register is unknown, or its value is out of range.
     """
 
-    INPUTS: ClassVar = {"input_voltage_v": (0.0, 100.0), "temperature_c": (-40.0, 200.0)}
+    INPUTS: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "input_voltage_v": (0.0, 100.0),
+        "temperature_c": (-40.0, 200.0),
+    }
 
     def __init__(self, own: DynamixelTable, context: ControllerContext) -> None:
         motor, line_bit_s = own.motor(context.stream()), context.bitrate_bit_s
@@ -591,4 +594,4 @@ def _rate(line_bit_s: int | None, rates: Sequence[int]) -> dict[str, int]:
     return {"baud_rate": rates.index(line_bit_s)}
 
 
-build = drive_builder(DynamixelTable, Servo, api=1, bus_kinds=("serial",))
+build: Final = drive_builder(DynamixelTable, Servo, api=1, bus_kinds=("serial",))

@@ -145,4 +145,4 @@ class ClassicalDrive(MitDrive):
             self.warn(f"parameter {number} = {data.hex()} is refused")
 
 
-build = drive_builder(MitTable, ClassicalDrive, api=1)
+build: Final = drive_builder(MitTable, ClassicalDrive, api=1)

@@ -62,7 +62,7 @@ class RobstrideDrive(MitDrive):
             self._read(data, area & 0xFF)
         elif kind == SET_ID:
             self.node_id: int = area >> 8
-            self.revision += 1
+            self.renumber()
             self.send(self.node_id << 8 | 0xFE, _SERIAL)
         elif kind in (MOTION, ENABLE, STOP, ZERO, WRITE):
             if kind != MOTION:
@@ -134,4 +134,4 @@ class RobstrideDrive(MitDrive):
             axis.follow_current(values[IQ_REF], 0)
 
 
-build = drive_builder(RobstrideTable, RobstrideDrive, api=1)
+build: Final = drive_builder(RobstrideTable, RobstrideDrive, api=1)

@@ -134,7 +134,7 @@ class MoteusController(MotorDrive):
         fault: the code of the fault; 0: none.
     """
 
-    INPUTS: ClassVar = {"board_temperature_c": (-100.0, 300.0)}
+    INPUTS: ClassVar[Mapping[str, tuple[float, float]]] = {"board_temperature_c": (-100.0, 300.0)}
 
     def __init__(self, table: MoteusTable, context: ControllerContext) -> None:
         self._table = table
@@ -662,4 +662,4 @@ def _is_beyond(error: float, limit: float | None) -> bool:
     return limit is not None and abs(error) > limit
 
 
-build = drive_builder(MoteusTable, MoteusController, api=1)
+build: Final = drive_builder(MoteusTable, MoteusController, api=1)

@@ -153,7 +153,7 @@ class RmdController(MotorDrive):
             self._lost = self.axis.count() // turn * turn
         if self._node != self._rom.node_id:
             self._node = self._rom.node_id
-            self.revision += 1
+            self.renumber()
 
     def watches(self) -> bool:
         """Return True in a mode, or if the plant has limits."""
@@ -557,4 +557,4 @@ _WRITES: Final[dict[int, Callable[[RmdController, bytes], bytes | None]]] = {
 }
 
 
-build = drive_builder(RmdTable, RmdController, api=1)
+build: Final = drive_builder(RmdTable, RmdController, api=1)

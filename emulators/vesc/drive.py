@@ -617,4 +617,4 @@ _NEEDED: Final = {
 _COMMANDS: Final = (*_NEEDED, 19, 23, 24, 25, 26, 28, 29, 30, 31, 47, 56, 63)
 
 
-build = drive_builder(VescTable, VescController, api=1)
+build: Final = drive_builder(VescTable, VescController, api=1)

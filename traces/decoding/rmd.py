@@ -52,10 +52,7 @@ B3 interruption time: @4 time u32/1000 s | @4 time u32/1000 s
 B5 model: |
 B6 active reply: @1 command u8; on u8 |
 F1 communication interrupted: |
-""".format(
-        single=(single := "@1 temperature i8 C; current i16/100 A; speed i16 deg/s"),
-        motion=f"{_SINGLE}; angle i16 deg",
-    ),
+""",
     base=16,
 )
 _ERRORS: Final = {

@@ -169,4 +169,4 @@ class MydriveController(MotorDrive):
         return [kind + self._settings.node_id for kind in (0x200, 0x300, 0x380, 0x400)]
 
 
-build = drive_builder(DriveTable, MydriveController, api=1)
+build: Final = drive_builder(DriveTable, MydriveController, api=1)

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from struct import Struct
-from typing import Final, NamedTuple, final
+from typing import ClassVar, Final, NamedTuple, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
@@ -103,9 +103,9 @@ class MydriveHwMotor(CanHardware[DriveOptions]):
     """
 
     OPTIONS = DriveOptions
-    NOUN = "a mydrive"
-    NODE_ID_MAX = NODE_ID_MAX
-    LACKS = "status and estimate"
+    NOUN: ClassVar[str] = "a mydrive"
+    NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
+    LACKS: str = "status and estimate"
 
     # 2. What the drive sends, and what other programs send to it. A drive that only answers sends
     # no status: drop both `expect`, and ask in `_refresh` of the motor by `exchange`.
@@ -291,4 +291,6 @@ class MydriveMotor(CanMotor[MydriveHwMotor]):
         self._check_fault()
 
 
-build = adaptation(api=1, rig="rig.toml")(CanBuilder(MotorTable, MydriveHwMotor, MydriveMotor))
+build: Final = adaptation(api=1, rig="rig.toml")(
+    CanBuilder(MotorTable, MydriveHwMotor, MydriveMotor)
+)

@@ -9,7 +9,7 @@
 """
 
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 from motorhil.motorapi.adaptations.dryve.hardware import VELOCITY_UNITS, DryveHwMotor
 from motorhil.motorapi.api import (
@@ -59,6 +59,6 @@ class DryveTable:
     timeout_s: float = number(0.2, 0.001, 60.0, "s", "Response timeout.", plausible=(0.005, 30.0))
 
 
-build = adaptation(api=1, bus_kinds=("modbus_tcp",))(
+build: Final = adaptation(api=1, bus_kinds=("modbus_tcp",))(
     LineBuilder(DryveTable, DryveHwMotor, DryveMotor)
 )

@@ -1,7 +1,7 @@
 """The logical motor of a Dynamixel servo, and its builder."""
 
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 from motorhil.motorapi.adaptations.dynamixel.hardware import MODES, DynamixelHwMotor
 from motorhil.motorapi.api import (
@@ -80,6 +80,6 @@ class DynamixelTable:
     )
 
 
-build = adaptation(api=1, bus_kinds=("serial",))(
+build: Final = adaptation(api=1, bus_kinds=("serial",))(
     LineBuilder(DynamixelTable, DynamixelHwMotor, DynamixelMotor, "servo")
 )

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from motorhil.motorapi.adaptations.mit.frames import Answer, Command, Frames, Maker, Ranges, Special
 from motorhil.motorapi.api import (
@@ -106,8 +106,8 @@ class MitHwMotor(CanHardware[MitOptions]):
         is_zeroed: whether the zero was set since the drive was first heard.
     """
 
-    NOUN = "a drive with MIT frames"
-    NODE_ID_MAX = 127
+    NOUN: ClassVar[str] = "a drive with MIT frames"
+    NODE_ID_MAX: ClassVar[int] = 127
 
     def _begin(self) -> None:
         own, drive = self.options, self.drive

@@ -14,7 +14,7 @@ Motors start one after another: there is no common signal.
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import copysign
-from typing import final
+from typing import Final, final
 
 from motorhil.motorapi.adaptations.mit.frames import (
     MODELS,
@@ -252,7 +252,7 @@ class MitTable(ClassicalOptions):
 class ClassicalHwMotor(MitHwMotor):
     """One mini cheetah, CubeMars or Damiao drive; see `MitHwMotor`."""
 
-    OPTIONS = ClassicalOptions
+    OPTIONS: type[MitOptions] = ClassicalOptions
 
 
-build = adaptation(api=1)(CanBuilder(MitTable, ClassicalHwMotor, MitMotor))
+build: Final = adaptation(api=1)(CanBuilder(MitTable, ClassicalHwMotor, MitMotor))

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from math import pi
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.mit.frames import (
     Answer,
@@ -110,8 +110,8 @@ class RobstrideTable(RobstrideOptions):
 class RobstrideHwMotor(MitHwMotor):
     """One RobStride or CyberGear drive; see `MitHwMotor`."""
 
-    OPTIONS = RobstrideOptions
-    EXTENDED = True
+    OPTIONS: type[MitOptions] = RobstrideOptions
+    EXTENDED: ClassVar[bool] = True
 
 
-build = adaptation(api=1)(CanBuilder(RobstrideTable, RobstrideHwMotor, MitMotor))
+build: Final = adaptation(api=1)(CanBuilder(RobstrideTable, RobstrideHwMotor, MitMotor))

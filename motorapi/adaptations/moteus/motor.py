@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import isnan, nan, tau
 from struct import Struct
-from typing import Final, NamedTuple, final
+from typing import ClassVar, Final, NamedTuple, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
@@ -163,11 +163,11 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
     """
 
     OPTIONS = MoteusOptions
-    NOUN = "a moteus"
-    NODE_ID_MAX = NODE_ID_MAX
-    LACKS = "reply with status and versions"
+    NOUN: ClassVar[str] = "a moteus"
+    NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
+    LACKS: str = "reply with status and versions"
     CONNECT_S = 1.0
-    FD = True
+    FD: ClassVar[bool] = True
 
     def _begin(self) -> None:
         node_id, drive = self.node_id, self.drive
@@ -476,4 +476,4 @@ class MoteusMotor(CanMotor[MoteusHwMotor]):
         return "register 001h"
 
 
-build = adaptation(api=1)(CanBuilder(MoteusTable, MoteusHwMotor, MoteusMotor))
+build: Final = adaptation(api=1)(CanBuilder(MoteusTable, MoteusHwMotor, MoteusMotor))

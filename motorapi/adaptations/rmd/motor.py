@@ -29,7 +29,7 @@ from enum import IntEnum
 from functools import partial
 from math import tau
 from struct import Struct
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
@@ -134,9 +134,9 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
     """
 
     OPTIONS = RmdOptions
-    NOUN = "an RMD"
-    NODE_ID_MAX = NODE_ID_MAX
-    LACKS = "answer to 92h, 9Ah and 42h"
+    NOUN: ClassVar[str] = "an RMD"
+    NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
+    LACKS: str = "answer to 92h, 9Ah and 42h"
 
     def _begin(self) -> None:
         own, drive = self.options, self.drive
@@ -311,7 +311,7 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         if errors and (self.fault is None or self.fault.code != errors):
             named = [text for bit, text in ERRORS.items() if errors & bit]
             self.motions.forget()
-            self.fault = Fault(errors, ", ".join(named) or "unknown error", time_ns)
+            self.fault: Fault | None = Fault(errors, ", ".join(named) or "unknown error", time_ns)
 
     def _on_foreign(self, data: bytes, time_ns: int) -> None:
         """Handle a request of another program: those that move the motor end our motion."""
@@ -389,4 +389,4 @@ class RmdMotor(StreamedMotor[RmdHwMotor]):
         return "multi-turn angle, answer 92h"
 
 
-build = adaptation(api=1)(CanBuilder(RmdTable, RmdHwMotor, RmdMotor, "RMD"))
+build: Final = adaptation(api=1)(CanBuilder(RmdTable, RmdHwMotor, RmdMotor, "RMD"))

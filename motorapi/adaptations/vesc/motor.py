@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from struct import Struct
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.api import (
     REQUIRED,
@@ -169,10 +169,10 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     """
 
     OPTIONS = VescOptions
-    NOUN = "a VESC"
-    NODE_ID_MAX = NODE_ID_MAX
-    LACKS = "STATUS, STATUS_4 and STATUS_5"
-    EXTENDED = True
+    NOUN: ClassVar[str] = "a VESC"
+    NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
+    LACKS: str = "STATUS, STATUS_4 and STATUS_5"
+    EXTENDED: ClassVar[bool] = True
 
     def _begin(self) -> None:
         own, node_id = self.options, self.node_id
@@ -420,7 +420,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
             self.stop_anyway()
 
     def _raise_fault(self, code: int, problem: str) -> None:
-        self.fault = Fault(code, problem, self.drive.runtime.now_ns())
+        self.fault: Fault | None = Fault(code, problem, self.drive.runtime.now_ns())
         self.motions.forget()
         self.held = None
 
@@ -555,4 +555,4 @@ class VescMotor(StreamedMotor[VescHwMotor]):
         return "angle of STATUS_4 (10h) with the turns of STATUS_5 (1Bh)"
 
 
-build = adaptation(api=1)(CanBuilder(VescTable, VescHwMotor, VescMotor, "VESC"))
+build: Final = adaptation(api=1)(CanBuilder(VescTable, VescHwMotor, VescMotor, "VESC"))
