@@ -187,7 +187,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         self.reports: int = 0  # answers about the fault
         self._reported = 0
         self._firmware: tuple[int, int] | None = None
-        self._velocity = 0.0
+        self._velocity: float | None = None  # None: not known since the drive was lost
         self._angle: float | None = None
         self._angle_ns = 0
         self._power_on: float | None = None  # position at power-on [turns], 0 to a span
@@ -368,43 +368,43 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
             self._angles.came(time_ns)
 
     def _on_tachometer(self, data: bytes, time_ns: int) -> None:
-        angle, span = self._angle, self.options.position_turns
+        angle, velocity, span = self._angle, self._velocity, self.options.position_turns
         if len(data) != _TACHOMETER.size:
             return
         self._counts.came(time_ns)
-        if angle is None:
+        if angle is None or velocity is None:
             return
         turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
-        offset = angle + self._velocity * (time_ns - self._angle_ns) / 1e9 - turns
+        offset = angle + velocity * (time_ns - self._angle_ns) / 1e9 - turns
         power_on, is_doubtful = self._power_on, self._is_kept and self.estimate is None
         if power_on is None or (
-            is_doubtful and self._has_restarted(offset - power_on, turns, time_ns)
+            is_doubtful and self._has_restarted(offset - power_on, turns, velocity, time_ns)
         ):
             self._power_on = offset % span
             if self._power_on > span - _NEAR:
                 self._power_on -= span
             self._is_kept = False
-        self._tachometer = turns, self._velocity, time_ns
+        self._tachometer = turns, velocity, time_ns
         position = angle + span * round((self._power_on + turns - angle) / span)
         before = self.estimate
         if before is not None:
-            possible = abs(self._velocity) + abs(before.velocity)
+            possible = abs(velocity) + abs(before.velocity)
             possible *= (time_ns - before.time_ns) / 1e9
             if abs(position - before.position) > _FOLLOW_MAX * span + possible:
                 self._restart()
                 return
-        self.estimate = Estimate(position, self._velocity, time_ns)
+        self.estimate = Estimate(position, velocity, time_ns)
         self._check_following(position)
 
-    def _has_restarted(self, change: float, turns: float, now_ns: int) -> bool:
+    def _has_restarted(self, change: float, turns: float, velocity: float, now_ns: int) -> bool:
         """Return whether the first tachometer after a loss begins anew.
 
         `change` is that of the position at power-on, as it seems, and may be off by whole spans.
         """
-        span, speed = self.options.position_turns, abs(self._velocity)
-        before, velocity, time_ns = self._tachometer
+        span, speed = self.options.position_turns, abs(velocity)
+        before, velocity_then, time_ns = self._tachometer
         difference = (change + span / 2.0) % span - span / 2.0
-        possible = 1.0 + (speed + abs(velocity)) * (now_ns - time_ns) / 1e9
+        possible = 1.0 + (speed + abs(velocity_then)) * (now_ns - time_ns) / 1e9
         return abs(difference) > _NEAR + speed * _STATUS_S or abs(turns - before) > possible
 
     def _check_following(self, position: float) -> None:
@@ -441,7 +441,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     def _on_part(self, data: bytes, time_ns: int) -> None:
         if data[:1] == b"\0":
             self._packet = data[1:]
-        elif data[:1] == bytes((len(self._packet) & 0xFF,)):
+        elif data and data[0] == len(self._packet):  # so it never grows beyond 262 bytes
             self._packet += data[1:]
 
     def _on_end(self, data: bytes, time_ns: int) -> None:
@@ -470,7 +470,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
 
     def _lose(self) -> None:
         super()._lose()
-        self._firmware = self._angle = self.estimate = None
+        self._firmware = self._angle = self._velocity = self.estimate = None
         self.reports = 0
         self._is_kept = self._power_on is not None
 

@@ -3,6 +3,7 @@
 Golden frames: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
 """
 
+import tracemalloc
 from math import tau
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import can
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import EFF_FLAG
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
@@ -192,6 +194,36 @@ def test_version_packet_cut_short_is_ignored(packet, crc):
         ear.say(0x7 << 8 | 128 + 23, f"1700000{len(packet) // 2}{crc}")
         go_to(motor, 0.1)
         motor.wait_until_done(timeout_s=5)
+
+
+def test_parts_of_a_packet_without_end_take_no_memory():
+    with opened() as rig, Ear(rig) as ear:
+        rig.motors["left"].enable()
+        tracemalloc.start()
+        ear.say(0x5 << 8 | 128 + 23, "0000")
+        for place in range(1, 6 * 2000, 6):  # its lowest byte is never 0, which begins anew
+            ear.say(0x5 << 8 | 128 + 23, f"{place & 0xFF:02X}000000000000")
+        ours = tracemalloc.Filter(True, "*/adaptations/vesc/motor.py")
+        kept = tracemalloc.take_snapshot().filter_traces([ours]).statistics("filename")
+        tracemalloc.stop()
+        assert sum(one.size for one in kept) < 4_000  # the parts have 12,000 bytes
+
+
+def test_velocity_from_before_a_loss_is_forgotten():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 1.0, ControlVariable.VELOCITY)
+        rig.runtime.run_for(1.0)
+        now_ns = rig.runtime.now_ns()
+        for name, can_id, s in (("all", None, 1.0), ("STATUS", EFF_FLAG | 9 << 8 | 23, 1.5)):
+            until_ns = now_ns + round(s * 1e9)
+            rule = FaultRule(name, FaultKind.DROP, can_id, sender="left", until_ns=until_ns)
+            rig.faults.inject("can0", rule)
+        rig.runtime.run_for(0.1)
+        motor.hardware.stop_anyway()
+        assert rig.runtime.wait_until(lambda: motor.latest() is None, 1.0)
+        assert rig.runtime.wait_until(lambda: motor.latest() is not None, 2.0)
+        assert abs(motor.latest().velocity) < 0.05
 
 
 def test_velocity_below_erpm_min_is_refused():
