@@ -39,6 +39,7 @@ _NAME: Final = 2  # if_name
 _FLAGS: Final = 2  # epb_flags
 _PROGRAM_NAME: Final = 4  # shb_userappl
 _TIME_RESOLUTION: Final = 9  # if_tsresol
+_OPTION_MAX: Final = 0xFFFF
 _TIME_OFFSET: Final = 14  # if_tsoffset
 _WAYS: Final = (Direction.UNKNOWN, Direction.RECEIVED, Direction.TRANSMITTED, Direction.UNKNOWN)
 _PACKET: Final = struct.Struct("<IIIII")
@@ -266,10 +267,12 @@ class PcapngWriter:
         self._block(_SECTION, head + _packed(_PROGRAM_NAME, _PROGRAM) + _packed(0, b""))
 
     def interface(self, link_type: int, name: str) -> int:
-        """Write a new interface, and return its number."""
-        options = (
-            _packed(_NAME, name.encode()) + _packed(_TIME_RESOLUTION, b"\x09") + _packed(0, b"")
-        )
+        """Write a new interface, and return its number.
+
+        Raises:
+            TraceError: the name is too long for the format.
+        """
+        options = self._text(_NAME, name) + _packed(_TIME_RESOLUTION, b"\x09") + _packed(0, b"")
         self._block(_INTERFACE, struct.pack("<HHI", link_type, 0, 0) + options)
         self._interfaces += 1
         return self._interfaces - 1
@@ -277,24 +280,35 @@ class PcapngWriter:
     def packet(
         self, which: int, time_ns: int, data: bytes, direction: Direction, sender: str | None
     ) -> None:
-        """Write a packet of an interface; `sender` None: unknown."""
+        """Write a packet of an interface; `sender` None: unknown.
+
+        Raises:
+            TraceError: the sender's name is too long for the format.
+        """
         end = self._ends.get((direction, sender))
         if end is None:
-            end = self._ends[direction, sender] = _options(direction, sender)
+            out = b"" if sender is None else self._text(_COMMENT, sender)
+            if direction:
+                out += _packed(_FLAGS, struct.pack("<I", direction))
+            end = self._ends[direction, sender] = out and out + _packed(0, b"")
         size = len(data)
         head = _PACKET.pack(which, time_ns >> 32, time_ns & 0xFFFF_FFFF, size, size)
         self._block(_ENHANCED_PACKET, head + data + bytes(-size % 4) + end)
 
+    def _text(self, code: int, text: str) -> bytes:
+        data = text.encode()
+        if len(data) > _OPTION_MAX:
+            raise TraceError(
+                self._file.name,
+                f"pcapng cannot hold the name '{text[:20]}...' of {len(data)} bytes; expected at "
+                f"most {_OPTION_MAX}",
+                remedy="write mcap",
+            )
+        return _packed(code, data)
+
     def _block(self, kind: int, body: bytes) -> None:
         size = struct.pack("<I", len(body) + 12)
         self._file.write(struct.pack("<I", kind) + size + body + size)
-
-
-def _options(direction: Direction, sender: str | None) -> bytes:
-    out = b"" if sender is None else _packed(_COMMENT, sender.encode())
-    if direction:
-        out += _packed(_FLAGS, struct.pack("<I", direction))
-    return out + _packed(0, b"") if out else out
 
 
 def _packed(code: int, value: bytes) -> bytes:

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motorhil.traces.errors import TraceError
-from motorhil.traces.formats.pcap import Capture
+from motorhil.traces.formats.pcap import Capture, PcapngWriter
+from motorhil.traces.schema import Direction
 from tests.support.recordings.captures import block, enhanced, interface, pcap, section
 
 TWO = [(7, 5, b"first"), (8, 999_999, b"second!")]
@@ -126,3 +127,14 @@ def test_packet_before_or_after_what_a_recording_can_hold_is_skipped(tmp_path, o
     capture = Capture(written(tmp_path, data))
     assert [packet.data for packet in capture.packets()] == [b"b"]
     assert "not from 1970 to 2554" in capture.problems[0]
+
+
+def test_name_beyond_the_length_of_an_option_is_refused(tmp_path):
+    with (tmp_path / "some.pcapng").open("wb") as file:
+        writer = PcapngWriter(file)
+        assert writer.interface(227, "a" * 65_535) == 0
+        with pytest.raises(TraceError, match="65536 bytes; expected at most 65535; write mcap"):
+            writer.interface(227, "a" * 65_536)
+        with pytest.raises(TraceError, match="70000 bytes"):
+            writer.packet(0, 0, b"", Direction.RECEIVED, "a" * 70_000)
+    assert len([*Capture(tmp_path / "some.pcapng").packets()]) == 0
