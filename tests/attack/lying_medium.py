@@ -405,6 +405,7 @@ class Program:
                 if self.motor.fault() is not None:
                     self.motor.reset_fault()
                 self.motor.enable()
+                self.motor.wait_until_done(5)  # the stop may take longer than the rest
                 self._rig.runtime.run_for(truth.calm_ns / 1e9)
                 self._position()
                 self._move()
