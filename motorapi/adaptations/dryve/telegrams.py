@@ -89,6 +89,7 @@ class DryveCodec:
         self.heard: bytes = b""
         self._line = line
         self._buffer = b""
+        self._repeats = False  # whether this drive repeats the transaction identifier
 
     @property
     def is_inside(self) -> bool:
@@ -118,8 +119,10 @@ class DryveCodec:
             if len(self._buffer) < end:
                 break
             adu, self._buffer = self._buffer[:end], self._buffer[end:]
-            if exchange is None or int.from_bytes(adu[:2], "big") not in (0, exchange.transaction):
+            number = int.from_bytes(adu[:2], "big")
+            if exchange is None or ((number or self._repeats) and number != exchange.transaction):
                 continue
+            self._repeats = bool(number)
             self.heard = adu
             answer = answer or adu[_MBAP + 1 :]
         if self._buffer:

@@ -120,6 +120,13 @@ def test_answer_of_other_transaction_is_dropped():
     assert DryveCodec("line").feed(bytes.fromhex(ANSWER), of(STATUS, 0x0F10)) is None
 
 
+def test_drive_that_has_repeated_transactions_does_so_always():
+    codec, silent = DryveCodec("line"), bytes.fromhex(ANSWER.replace("0F0F", "0000", 1))
+    assert codec.feed(silent, of(STATUS)) is not None
+    assert codec.feed(bytes.fromhex(ANSWER), of(STATUS)) is not None
+    assert codec.feed(silent, of(STATUS)) is None
+
+
 def test_bytes_without_modbus_are_kept_as_heard():
     codec = DryveCodec("line")
     assert codec.feed(b"HTTP/1.1 200 OK", of(STATUS)) is None
