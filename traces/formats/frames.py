@@ -136,10 +136,7 @@ def decimal_ns(text: str, digits: int = 9) -> int:
     whole, _, fraction = text.partition(".")
     if not whole.isdecimal() or (fraction and not fraction.isdecimal()):
         raise ValueError(f"not a time stamp: {shown(text, 24)}")
-    time_ns = int(whole + fraction[:digits].ljust(digits, "0"))
-    if time_ns > TIME_MAX:
-        raise ValueError(f"a time stamp beyond the year 2554: {shown(text, 24)}")
-    return time_ns
+    return log_time(int(whole + fraction[:digits].ljust(digits, "0")))
 
 
 def log_time(time_ns: int) -> int:

@@ -16,7 +16,7 @@ from typing import BinaryIO, Final, NamedTuple, final
 
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import MEMORY_MAX, open_content
-from motorhil.traces.formats.frames import TIME_MAX
+from motorhil.traces.formats.frames import log_time
 from motorhil.traces.schema import Direction
 
 MAGIC: Final = b"\x0a\x0d\x0d\x0a"
@@ -212,9 +212,10 @@ class Capture:
         interface = section.interfaces[which]
         way, sender = Direction.UNKNOWN, None
         if kind == _ENHANCED_PACKET:
-            time_ns = time_ns * _NS // interface.units_s + interface.offset_ns
-            if not 0 <= time_ns <= TIME_MAX:
-                self._problem(at, f"a packet at {time_ns} ns: not from 1970 to 2554")
+            try:
+                time_ns = log_time(time_ns * _NS // interface.units_s + interface.offset_ns)
+            except ValueError as error:
+                self._problem(at, str(error))
                 return None
             options = body[20 + (size + 3 & ~3) :]
             flags = _option(options, _FLAGS, order)
