@@ -569,6 +569,8 @@ def lost_motor_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
         with bench.cut(bench.motor):
             rest_for(bench, until_rest_s(bench, bench.motor))
             bench.motor.state()  # a host that only asks when asked to notices the loss now
+        rest_for(bench, _BACK_S)
+        bench.motor.reset_fault()
 
     _expect_true_reference(bench, "a loss", lose)
 
@@ -590,7 +592,6 @@ def _expect_true_reference(bench: RigProtocol, trouble: str, suffer: Callable[[]
         f"after {trouble}: referenced, but position() is {reported:g} {unit} at {true:g} {unit}"
         " from home; expected this position, or not referenced",
     )
-    motor.reset_fault()
     motor.home(_HERE)
     expect(motor.is_referenced(), f"homed again after {trouble}: not referenced")
     expect_at(bench, motor, 0.0, f"homed again after {trouble}")
