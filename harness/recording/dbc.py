@@ -5,9 +5,10 @@ import re
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.traces.can_frame import EFF, EFF_MASK, ERR, RTR, fields
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import unreadable
+from motorhil.traces.layout import Signal
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

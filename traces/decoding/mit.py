@@ -10,7 +10,8 @@ from math import pi
 from typing import Final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR, fields
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Signal
 
 _DAMIAO: Final = {
     "dm4310": (30, 10),

@@ -9,7 +9,8 @@ from struct import Struct
 from typing import Final
 
 from motorhil.traces.can_frame import ERR, RTR, fields
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Signal
 
 _BROADCAST: Final = 0x7F
 _TYPES: Final = (Struct("<b"), Struct("<h"), Struct("<i"), Struct("<f"))

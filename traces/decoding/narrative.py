@@ -14,7 +14,7 @@ from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.formats.modbus import Malformed, recorded_adu
-from motorhil.traces.layout import Signal as Signal
+from motorhil.traces.layout import Signal
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.mcap.records import Channel
 from motorhil.traces.protobuf import Value, decode

@@ -12,7 +12,8 @@ from motorhil.traces.mcap.records import Attachment
 
 PLUGIN = """\
 from motorhil.traces.can_frame import fields
-from motorhil.traces.decoding.narrative import BusMessage, Signal
+from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.layout import Signal
 
 
 def build(node_id):
