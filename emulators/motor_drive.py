@@ -32,7 +32,7 @@ class MotorDrive(ABC):
         is_powered: whether it has power.
         now_ns: the time of the last update.
         due_ns: its times by name, each until `is_due`; the loss of power cancels them.
-        revision: to be increased when its identifiers change.
+        revision: the number of changes of its identifiers; see `renumber`.
     """
 
     INPUTS: ClassVar[Mapping[str, tuple[float, float]]] = {}
@@ -64,8 +64,12 @@ class MotorDrive(ABC):
         return False
 
     def set_input(self, name: str, value: float) -> None:
-        """Set one of its own `INPUTS`, in range."""
-        raise NotImplementedError(f"{type(self).__name__} does not set {name} = {value}")
+        """Set one of its own `INPUTS`, in range.
+
+        Raises:
+            TypeError: its class does not override this method.
+        """
+        raise TypeError(f"{type(self).__name__}: INPUTS has {name!r}; expected a set_input of it")
 
     @abstractmethod
     def inject(self, fault: int) -> None:
@@ -141,9 +145,10 @@ class MotorDrive(ABC):
 
     def wake(self, name: Hashable, wait_ns: int) -> None:
         """Set the time of this name, so long after the last update; 0: cancel it."""
-        self.due_ns[name] = self.now_ns + wait_ns
-        if not wait_ns:
-            del self.due_ns[name]
+        if wait_ns:
+            self.due_ns[name] = self.now_ns + wait_ns
+        else:
+            self.due_ns.pop(name, None)
 
     def cancel_times(self) -> None:
         """Cancel all times and delayed frames."""

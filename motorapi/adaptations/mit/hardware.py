@@ -10,6 +10,7 @@ from the requests on the bus. A drive that nobody has switched on counts as off.
 """
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -57,7 +58,7 @@ def _range(unit: str, of: str, plausible: tuple[float, float]) -> Any:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MitOptions(Options):
+class MitOptions(Options, ABC):
     """The options of a hardware object; in a rig, keys of the motor's table."""
 
     kp_n_m_rad: float = positive(50.0, "N·m/rad", "Stiffness.", (0.1, 1e5))
@@ -81,9 +82,9 @@ class MitOptions(Options):
     kp_max_n_m_rad: float | None = _range("N·m/rad", "stiffness", (1.0, 1e5))
     kd_max_n_m_s_rad: float | None = _range("N·m·s/rad", "damping", (0.1, 1e3))
 
+    @abstractmethod
     def frames(self, node_id: int) -> Frames:
         """Return the frames of the drive with this number."""
-        raise NotImplementedError
 
     def ranges(self, model: Ranges) -> Ranges:
         """Return the ranges: the model's, or those given."""
