@@ -123,3 +123,13 @@ def test_builder_reads_the_table_and_is_marked():
     assert made.next_deadline_ns() == 5 * MS
     with pytest.raises(SettingError, match="node_id: 10 is out of range"):
         build({"node_id": 10, "plant": PLANT}, CONTEXT)
+
+
+def test_input_that_nobody_sets_is_a_defect_of_the_drive():
+    class Deaf(Drive):
+        set_input = MotorDrive.set_input
+
+    drive = Deaf(Table(node_id=1, plant=PLANT), CONTEXT)
+    drive.start(0)
+    with pytest.raises(TypeError, match="Deaf: INPUTS has 'board_c'; expected a set_input of it"):
+        drive.stimulate("board_c", 20.0, 0)
