@@ -1,13 +1,13 @@
 """The logical motor of a drive on a CAN bus, as far as all kinds agree, and its builder."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from math import floor, tau
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar, final
 
 from motorhil.motorapi.api.can_drive import CanDrive
 from motorhil.motorapi.api.can_hardware import CanHardware
-from motorhil.motorapi.api.registration import OptionsT, Shared, read_settings
+from motorhil.motorapi.api.registration import MotorBuilder, OptionsT
 from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.motion import Motion
@@ -162,10 +162,8 @@ MadeT = TypeVar("MadeT", bound=CanHardware[Any])
 
 
 @final
-class CanBuilder(Generic[MadeT]):
-    """The `build` of a kind of drive on CAN, to be marked by `adaptation`.
-
-    Motors on one drive share its hardware object.
+class CanBuilder(MotorBuilder[MadeT]):
+    """The `build` of a kind of drive on CAN; see `MotorBuilder`.
 
     Args:
         table: the class of settings, which derives from the options of the hardware.
@@ -181,27 +179,11 @@ class CanBuilder(Generic[MadeT]):
         motor: Callable[..., Motor],
         noun: str = "drive",
     ) -> None:
-        self.__module__ = table.__module__  # a rig of `adaptation` is beside it
-        self._table = table
+        super().__init__(table, motor, noun)
         self._hardware = hardware
-        self._motor = motor
-        self._shared: Shared[MadeT] = Shared(noun)
 
-    def __call__(
-        self,
-        bus: "can.BusABC",
-        settings: Mapping[str, object],
-        model: "MotorModel",
-        runtime: "Runtime",
-    ) -> Motor:
-        """Return the motor that a table of settings describes.
-
-        Raises:
-            UsageError: a setting is unknown, missing, or wrong.
-        """
-        own = read_settings(self._table, settings)
-        options = own.part(self._hardware.OPTIONS)
-        hardware, give_back = self._shared.on_can(
-            self._hardware, bus, own.node_id, runtime, options
-        )
-        return self._motor(hardware, model, name=own.name, on_close=give_back)
+    def _share(
+        self, bus: "can.BusABC", own: NodeTable, runtime: "Runtime"
+    ) -> tuple[MadeT, Callable[[], None]]:
+        make = self._hardware
+        return self._shared.on_can(make, bus, own.node_id, runtime, own.part(make.OPTIONS))

@@ -3,14 +3,20 @@
 Third parties may use them for adaptations of their own.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Final, Generic, Protocol, TypeVar, cast, final
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar, cast, final
 from weakref import WeakValueDictionary
 
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import UsageError
 from motorhil.settings import SettingError, check, read
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.model import MotorModel
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.runtime.api import Runtime
 
 
 class Hardware(Protocol):
@@ -196,3 +202,39 @@ def read_settings(of: type[T], table: Mapping[str, object], unit: str = "") -> T
         return read(of, table, unit=unit)
     except SettingError as error:
         raise UsageError(str(error)) from error
+
+
+class MotorBuilder(ABC, Generic[HardwareT]):
+    """The `build` of a kind of drives, to be marked by `adaptation`.
+
+    Motors on one drive share its hardware object.
+
+    Args:
+        table: the class of settings, with `name`.
+        motor: the class of the motor.
+        noun: the word for the drive in messages.
+    """
+
+    def __init__(self, table: type[Any], motor: "Callable[..., Motor]", noun: str) -> None:
+        self.__module__ = table.__module__  # a rig of `adaptation` is beside it
+        self._table = table
+        self._motor = motor
+        self._shared: Shared[HardwareT] = Shared(noun)
+
+    @abstractmethod
+    def _share(
+        self, bus: Any, own: Any, runtime: "Runtime"
+    ) -> tuple[HardwareT, Callable[[], None]]:
+        """Return the hardware object for these settings, and the call that gives it back."""
+
+    def __call__(
+        self, bus: Any, settings: Mapping[str, object], model: "MotorModel", runtime: "Runtime"
+    ) -> "Motor":
+        """Return the motor that a table of settings describes.
+
+        Raises:
+            UsageError: a setting is unknown, missing, or wrong.
+        """
+        own = read_settings(self._table, settings)
+        hardware, give_back = self._share(bus, own, runtime)
+        return self._motor(hardware, model, name=own.name, on_close=give_back)
