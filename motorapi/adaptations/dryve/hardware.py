@@ -191,17 +191,18 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
     # --- status ----------------------------------------------------------------------------------
 
     def poll(self, model: "MotorModel") -> Poll:
-        """Read state, position, speed, mode and target, each in a separate request."""
+        """Read mode, target, state, speed and position, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
         way = 1 if per_unit > 0 else -1
-        raw, speed = registers.read(_POSITION), registers.read(_VELOCITY)
         mode, command = registers.read(_MODE_DISPLAY), registers.read(_CONTROLWORD)
         target = registers.read(_TARGET_VELOCITY if mode == _PV else _TARGET)
         status = registers.read(_STATUSWORD)
         is_on, reached = status & _STATE == _OPERATION, bool(status & _REACHED)
         self._note_homing(mode, status, is_on)
         fault = self._fault(bool(status & _FAULT), _ERRORS)
+        speed, raw = registers.read(_VELOCITY), registers.read(_POSITION)
+        time_ns = self.runtime.now_ns()  # of the position, which is read last: the least old
         halted = bool(command & _HALT)
         runs = mode == _PV and not halted and target != 0
         is_moving = is_on and (runs or not reached)
@@ -213,7 +214,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
         state = state if is_on else MotorState.DISABLED
         return Poll(
-            time_ns=self.runtime.now_ns(),
+            time_ns=time_ns,
             state=MotorState.FAULT if fault is not None else state,
             fault=fault,
             position=position / per_unit,

@@ -110,23 +110,23 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
     # --- status ----------------------------------------------------------------------------------
 
     def poll(self, model: "MotorModel") -> Poll:
-        """Read state, position, speed and demand, each in a separate request."""
+        """Read speed, state, demand and position, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position, demand = self._continued(
-            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
-        )
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         self._is_homed = bool(status & _HOMED)
         fault = self._fault(bool(status & _FAULT), _ALARMS)
+        demanded = registers.read_i32(_DEMAND)
+        position, demand = self._continued(registers.read_i32(_POSITION), demanded)
+        time_ns = self.runtime.now_ns()  # of the position, which is read last: the least old
         state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
         state = state if status & _ENABLED else MotorState.DISABLED
         rpm = speed - 0x10000 if speed & 0x8000 else speed
         is_moving = bool(status & _RUNNING)
         self._stop_again(is_moving)
         return Poll(
-            time_ns=self.runtime.now_ns(),
+            time_ns=time_ns,
             state=MotorState.FAULT if fault is not None else state,
             fault=fault,
             position=position / per_unit,
