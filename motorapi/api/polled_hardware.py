@@ -120,9 +120,11 @@ class PolledHardware(ABC, Generic[UnitT]):
         users: the number of motors built on it from settings; the last one closes it.
         settings: those settings; empty for an object made by an application.
         STARTS_AT_ONCE: whether `trigger` sends one request, which `starts` a motion.
+        NEAR_TURNS: the most by which the drive rounds a target; a full step of a stepper.
     """
 
     STARTS_AT_ONCE: ClassVar[bool] = True
+    NEAR_TURNS: ClassVar[float] = 1 / 200
 
     def __init__(self, registers: UnitT) -> None:
         self.registers: Final[UnitT] = registers

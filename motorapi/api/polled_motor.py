@@ -29,7 +29,6 @@ _POLLS_MAX: Final = 2
 _TIMEOUTS: Final = 4  # of a request: a poll with repeated ones that takes longer is too old
 _BEGIN_NS: Final = 100_000_000  # for which a drive may show an old status
 _RESTS: Final = 2  # the values of one poll are not simultaneous
-_NEAR_TURNS: Final = 1 / 200  # a full step: no drive rounds a target by more
 _SLOW_TURNS_S: Final = 1 / 20  # of the motor: at rest, by the drive's integer rpm
 _STILL_TURNS: Final = 1 / 500  # or it stays within that distance ...
 _STILL_NS: Final = 50_000_000  # ... for that time, as some drives measure speed coarsely
@@ -281,7 +280,8 @@ class PolledMotor(Motor, Generic[HardwareT]):
         return state.target != 0.0 if state.wanted is Wanted.VELOCITY else not self._is_near(poll)
 
     def _is_near(self, poll: Poll) -> bool:
-        target, near = self.hardware.progress.target, _NEAR_TURNS * self.hardware.turn(self.model)
+        target, hardware = self.hardware.progress.target, self.hardware
+        near = hardware.NEAR_TURNS * hardware.turn(self.model)
         return target is not None and abs(poll.demand - target) <= near
 
     def _refuse_interrupted(self, poll: Poll) -> None:

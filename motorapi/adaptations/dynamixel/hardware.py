@@ -173,6 +173,8 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         UsageError: a hardware object for this servo exists already.
     """
 
+    NEAR_TURNS: ClassVar[float] = 1 / 2000  # two counts
+
     def __init__(
         self,
         line: ByteLine,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
@@ -95,6 +96,28 @@ def test_stop_brakes_with_the_ramp_and_stays(rig):
     rig.runtime.run_for(0.5)
     assert left.position() == pytest.approx(at, abs=0.003)  # it came back by a count at most
     assert left.state() is MotorState.ENABLED
+
+
+def test_move_after_the_watchdog_starts_where_the_servo_stands(rig):
+    """A servo stopped less than a two-hundredth of a turn short once began from its old target."""
+    left, stands = rig.motors["left"], lambda: rig.controllers["left"].snapshot()["position_rad"]
+
+    def move(distance):
+        left.set_control_mode(ControlMode.TRAJECTORY)
+        left.set_trajectory(TrapezoidalTrajectory(distance))
+        left.start()
+
+    left.enable()
+    move(-0.32)
+    rig.faults.inject("line", SerialFaultRule("lose", SerialFaultKind.LOSE))
+    rig.runtime.run_for(1.0)
+    rig.faults.lift("line", "lose")
+    begun = stands()
+    assert -0.315 < begun < -0.289  # within a two-hundredth of a turn
+    left.enable()
+    move(-0.4)
+    left.wait_until_done(2.0)
+    assert stands() == pytest.approx(begun - 0.4, abs=0.004)
 
 
 def test_velocity_mode_runs_and_stops():
