@@ -22,6 +22,9 @@ of all turns since power-on). At power-on it is 0 to a span of angles. A loss of
 change the position at power-on; a restart does. The tachometer or a notice of the drive tells which
 it was.
 
+After those, the position is told once the motor rests: while it turns, an angle that comes late is
+not of the same time as the tachometer.
+
 Source: vedderb/bldc b9d287b3 (firmware 7.01), documentation/comm_can.md.
 """
 
@@ -100,6 +103,7 @@ _FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is
 _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
 _BOOTED_NS: Final = 1_000_000_000
+_LATE_NS: Final = 400_000_000  # an angle so late and a tachometer in time are not of one position
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
 _FAULT_STOP_S: Final = 2.0  # a fault clears itself after 0.5 s, unless its cause lasts
 _ARRIVAL_S: Final = 2.0  # after the last set-point
@@ -193,6 +197,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         self._power_on: float | None = None  # position at power-on [turns], 0 to a span
         self._tachometer = (0.0, 0.0, 0)  # the last one [turns], velocity then, time [ns]
         self._is_kept = False  # whether the position at power-on is from before the last loss
+        self._rested: tuple[float, float, int] | None = None  # angle, turns [turns], since [ns]
         self._packet = b""
         self._since_ns = 0  # first frame since the drive was lost
         self._asks = self._is_known = False  # whether it was connected once
@@ -226,13 +231,19 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
 
         Raises:
             LinkError: the drive is not heard, or this object is closed, or the bus is off.
-            PeerError: its status frames are off, or its firmware is not known.
+            PeerError: its status frames are off, or its firmware is not known, or its motor turns
+                after a loss or restart.
         """
         try:
             super().connect()
         except LinkError as error:
             if self._firmware is None or self.drive.is_closed or self.drive.status.is_off:
                 raise
+            if self._rested is not None:
+                raise PeerError(
+                    f"{self.label}: its motor turns since the drive was lost or has restarted, so"
+                    " that its position is not known; expected rest; bring it to rest"
+                ) from error
             raise PeerError(
                 f"{self.label}: it answers, but sends no {self.LACKS} within {self.CONNECT_S:g} s;"
                 " expected bits 0, 3 and 4 of its CAN status messages, which are off by default;"
@@ -380,12 +391,13 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         if power_on is None or (
             is_doubtful and self._has_restarted(offset - power_on, turns, velocity, time_ns)
         ):
-            self._power_on = offset % span
-            if self._power_on > span - _NEAR:
-                self._power_on -= span
+            if self._is_known and not self._has_rested(angle, turns, time_ns):
+                return
+            power_on = offset % span
+            self._power_on = power_on = power_on - span if power_on > span - _NEAR else power_on
             self._is_kept = False
         self._tachometer = turns, velocity, time_ns
-        position = angle + span * round((self._power_on + turns - angle) / span)
+        position = angle + span * round((power_on + turns - angle) / span)
         before = self.estimate
         if before is not None:
             possible = abs(velocity) + abs(before.velocity)
@@ -395,6 +407,13 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
                 return
         self.estimate = Estimate(position, velocity, time_ns)
         self._check_following(position)
+
+    def _has_rested(self, angle: float, turns: float, now_ns: int) -> bool:
+        """Return whether both have been the same for as long as one of them may be late."""
+        then = self._rested
+        if then is None or max(abs(angle - then[0]), abs(turns - then[1])) > _NEAR:
+            self._rested = then = angle, turns, now_ns
+        return now_ns - then[2] >= _LATE_NS
 
     def _has_restarted(self, change: float, turns: float, velocity: float, now_ns: int) -> bool:
         """Return whether the first tachometer after a loss begins anew.
@@ -471,6 +490,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     def _lose(self) -> None:
         super()._lose()
         self._firmware = self._angle = self._velocity = self.estimate = None
+        self._rested = None
         self.reports = 0
         self._is_kept = self._power_on is not None
 

@@ -209,6 +209,49 @@ def test_parts_of_a_packet_without_end_take_no_memory():
         assert sum(one.size for one in kept) < 4_000  # the parts have 12,000 bytes
 
 
+def test_late_angle_of_a_turning_motor_is_no_restart():
+    """A late angle beside the first tachometer after a loss once set the position anew, wrongly."""
+    with opened(velocity=6.0) as rig:
+        motor = rig.motors["left"]
+        go_to(motor, 4.0, ControlVariable.VELOCITY)
+        rig.runtime.run_for(0.5)
+        silence = FaultRule("silence", FaultKind.DROP, sender="left")
+        late = FaultRule(
+            "late", FaultKind.DELAY, EFF_FLAG | 16 << 8 | 23, sender="left", delay_ns=300_000_000
+        )
+        rig.faults.inject("can0", silence)
+        assert rig.runtime.wait_until(lambda: motor.hardware.drive.is_lost, 1.0)
+        rig.faults.lift("can0", "silence")
+        rig.faults.inject("can0", late)
+        told = 0
+        for _ in range(100):
+            rig.runtime.run_for(0.01)
+            if motor.hardware.estimate is not None:
+                told += 1
+                assert motor.latest().position == pytest.approx(true(rig), abs=0.3 * 6.0 + 0.1)
+        rig.faults.lift("can0", "late")
+        motor.hardware.stop_anyway()
+        rig.runtime.run_for(3.0)
+        assert motor.position() == pytest.approx(true(rig), abs=0.005)
+
+
+def test_motor_that_turns_after_a_restart_is_told_to_rest():
+    with opened(velocity=6.0) as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.enable()
+        speed = bytes.fromhex("000044C0")  # 17,600 ERPM: 4 rad/s
+        speed = can.Message(arbitration_id=0x317, data=speed, is_extended_id=True)
+        turning = rig.runtime.every(0.05, lambda: ear.bus.send(speed))
+        rig.runtime.run_for(1.0)
+        motor.hardware._restart()
+        with pytest.raises(PeerError, match=r"turns.*expected rest"):
+            motor.position()
+        turning.cancel()
+        rig.runtime.run_for(4.0)
+        span = 8.0 / 66.0 * tau
+        assert (motor.position() - true(rig) + 0.1) % span == pytest.approx(0.1, abs=0.005)
+
+
 def test_velocity_from_before_a_loss_is_forgotten():
     with opened() as rig:
         motor = rig.motors["left"]
