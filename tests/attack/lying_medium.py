@@ -379,10 +379,17 @@ class Program:
         begun = self._truth.position()
         self.motor.wait_until_done(5)
         now = self._truth.position()
+        # A late command may have moved it back since: that it was there is as old as any value.
+        seen = self._truth.positions_since(self._rig.runtime.now_ns() - self._truth.age_ns)
         low = min(lowest, least if distance > 0.0 else begun) + distance
         high = max(highest, most if distance < 0.0 else begun) + distance
-        if not low - 2 * self._tolerance <= now <= high + 2 * self._tolerance:
-            raise SilentlyWrong(f"done at {now:.5f} rad; expected {low:.5f} to {high:.5f} rad")
+        near = 2 * self._tolerance
+        is_beyond = now < low - near if distance < 0.0 else now > high + near
+        if is_beyond or seen[1] < low - near or seen[0] > high + near:
+            raise SilentlyWrong(
+                f"done at {now:.5f} rad, of late {seen[0]:.5f} to {seen[1]:.5f} rad; expected "
+                f"{low:.5f} to {high:.5f} rad"
+            )
 
     def _turn(self) -> None:
         self.motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
