@@ -223,6 +223,10 @@ def whole_file(target: str, remedy: str = "") -> Iterator[BinaryIO]:
     except OSError as error:
         what = f"cannot be written: {reason(error)}"
         raise TraceError(target, what, remedy=remedy) from error
+    except TraceError as error:
+        if error.path != part:
+            raise
+        raise TraceError(target, error.what, remedy=error.remedy) from error
     finally:
         if part:
             with suppress(OSError):

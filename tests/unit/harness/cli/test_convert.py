@@ -87,6 +87,16 @@ def test_wrong_usage_is_reported(folder, say, words, why):
     assert not list(folder.glob("**/*.part"))
 
 
+def test_name_too_long_for_the_target_is_told_with_the_file_named_by_the_user(folder, say):
+    with TraceWriter("long.mcap") as writer:
+        can = writer.channel("/can/" + "c" * 70_000, Schema.of(CAN_FRAME))
+        writer.can_frame(writer.source(can, "left"), 0, classic(1, b""))
+    status, out, err = say("convert", "long.mcap", "-o", "out.pcapng")
+    assert (status, out) == (2, "")
+    assert err.startswith("out.pcapng: pcapng cannot hold the name 'cccccccccccccccccccc...' of")
+    assert [path.name for path in folder.glob("out*")] == []
+
+
 def test_modbus_adus_are_extracted_from_mixed_recording(folder, say):
     request = bytes.fromhex("01 03 0010 0002 C5CE")
     with TraceWriter("mixed.mcap") as writer:
