@@ -9,7 +9,8 @@ interruption time (B3h), ID (79h), and the switches of 20h. `rom_writes` of the 
 
 Choices of this emulator where the manual leaves room: a stall is a following error beyond
 `stall_deg`; an ID is valid after the restart; faults of level 2 last `fault_s`. Not emulated, with
-a warning: motion mode (400h), gains that act, RS485, bit rates, the lock of the brake.
+a warning: motion mode (400h), gains that act, RS485, bit rates, the lock of the brake; the phase
+currents of 9Dh are always those of one electrical angle.
 
 Source: MyActuator, Servo Motor Control Protocol V4.2 (2024-05).
 """

@@ -119,6 +119,44 @@ def test_status_1_has_temperature_and_supply(rmd):
     assert rmd.told("9A00000000000000")[6:8] == "01"
 
 
+FORWARD = {"celsius": 50, "amps": 1.0, "dps": 500, "degrees": 45}
+BACKWARD = {"celsius": 50, "amps": -1.0, "dps": -500, "degrees": -45}
+
+
+@pytest.mark.parametrize(
+    ("state", "request_data", "answer"),
+    [
+        (FORWARD, "9C00000000000000", "9C326400F4012D00"),  # (2.15)
+        (FORWARD, "A100000064000000", "A1326400F4012D00"),  # (2.20)
+        (BACKWARD, "A10000009CFF0000", "A1329CFF0CFED3FF"),
+        (FORWARD, "A200000010270000", "A2326400F4012D00"),  # (2.21)
+        (BACKWARD, "A2000000F0D8FFFF", "A2329CFF0CFED3FF"),
+        (FORWARD, "A400F401A08C0000", "A4326400F4012D00"),  # (2.22)
+        (BACKWARD, "A400F4016073FFFF", "A4329CFF0CFED3FF"),
+        (FORWARD, "A800F401A08C0000", "A8326400F4012D00"),  # (2.24)
+        ({**FORWARD, "degrees": 1000.5 / 16384 / 66 * 360}, "A601F401A08C0000", "A6326400F401E803"),
+        ({"celsius": 50, "volts": 48.5}, "9A00000000000000", "9A320001E5010400"),  # (2.14)
+    ],
+)
+def test_drive_in_the_state_of_the_manual_has_its_answer(
+    rmd, monkeypatch, state, request_data, answer
+):
+    """The manual states what its example drive does: 50 degC, 1 A, 500 dps, 45 degrees."""
+    if "volts" in state:
+        rmd.told("7700000000000000")  # the brake is open
+        rmd.stimulate("fault", 0x0004)
+    told = {
+        "winding_temperature_c": state["celsius"],
+        "dc_link_v": state.get("volts", 24.0),
+        "current_a": state.get("amps", 0.0),
+        "velocity_inc_s": state.get("dps", 0.0) * TURN / 360,
+        "count": state.get("degrees", 0) * TURN / 360,
+    }
+    for name, value in told.items():
+        monkeypatch.setattr(rmd.drive.axis, name, lambda value=value: value)
+    assert rmd.told(request_data) == answer
+
+
 @pytest.mark.parametrize(
     ("request_data", "mode"),
     [
