@@ -1,5 +1,7 @@
 """Programs of a rig in processes of their own, started by `motorhil run RIG`."""
 
+from pathlib import Path
+
 import pytest
 
 from motorhil.harness.rig.config.scaffold import EXAMPLES
@@ -10,6 +12,7 @@ from motorhil.traces.digest import digest
 
 pytestmark = pytest.mark.wall
 
+PROGRAMS = Path(__file__).parents[3] / "support" / "programs"
 RIG = """
 [bus.can0]
 bitrate_bit_s = 500_000
@@ -91,6 +94,24 @@ def test_two_runs_of_programs_that_share_motor_make_one_record(run, tmp_path):
             *("one: 0 0.300", "two: 0 -0.300", "one: 1 0.600"),
             *("two: 1 -0.600", "one: 2 0.900", "two: 2 -0.900"),
         ]
+        digests.add(digest(tmp_path / f"{name}.mcap"))
+    assert len(digests) == 1
+
+
+def test_event_loops_of_two_programs_make_one_record(run, tmp_path):
+    base = (EXAMPLES / "two_wheels.toml").read_text()
+    base = base.replace('"wheel_model.toml"', f'"{EXAMPLES / "wheel_model.toml"}"')
+    command = ("python", str(PROGRAMS / "asyncio_listening.py"))
+    digests = set()
+    for name in ("first", "second"):
+        lines, wrong = run(
+            *(program(one, *command) for one in ("one", "two")),
+            base=base,
+            record=tmp_path / f"{name}.mcap",
+        )
+        assert wrong == {}
+        told = ["{'581': 10, '601': 8, '701': 1, '702': 1} 0.0 s late", "TimeoutError; 1.70 s"]
+        assert lines == [f"{one}: {line}" for one in ("two", "one") for line in told]
         digests.add(digest(tmp_path / f"{name}.mcap"))
     assert len(digests) == 1
 

@@ -27,6 +27,11 @@ HEARD = """\
 21 heard, 0.0 s late; 3.00 s
 """
 
+AWAITED = """\
+{'581': 5, '701': 1, '702': 1} 0.0 s late
+TimeoutError; 1.70 s
+"""
+
 
 def run_alone(hash_seed, *command):
     done = subprocess.run(
@@ -51,6 +56,16 @@ def test_canopen_program_gives_equal_records_in_each_process(tmp_path):
 
 def test_python_can_program_receives_and_sends_cyclically(say):
     assert say("run", RIG, str(HERE / "listening.py")) == (0, HEARD, "")
+
+
+def test_asyncio_program_gives_equal_records_in_each_process(tmp_path):
+    digests = []
+    for seed in ("1", "2"):
+        record = tmp_path / f"{seed}.mcap"
+        command = (RIG, str(HERE / "asyncio_listening.py"), "-o", str(record))
+        assert run_alone(seed, *command) == (0, AWAITED, "")
+        digests.append(digest(str(record)))
+    assert digests[0] == digests[1]
 
 
 def test_random_numbers_depend_on_rig_seed(tmp_path, say):

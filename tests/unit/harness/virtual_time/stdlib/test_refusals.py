@@ -1,4 +1,3 @@
-import asyncio
 import multiprocessing
 import os
 import select
@@ -8,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from multiprocessing.pool import ThreadPool
 from types import ModuleType
 
@@ -18,22 +18,21 @@ from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.motorapi.errors import UsageError
 
 
-async def nothing():
-    pass
-
-
-def run_asyncio():
-    coroutine = nothing()
-    try:
-        asyncio.run(coroutine)
-    finally:
-        coroutine.close()
-
-
 def receive():
-    one, other = socket.socketpair()
-    with one, other:
+    with socket.socket(type=socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
         one.recv(1)
+
+
+def wait_for_network(wait):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        wait(server)
+
+
+def by_selector(server):
+    with selectors.DefaultSelector() as selector:
+        selector.register(server, selectors.EVENT_READ)
+        selector.select(0.01)
 
 
 REFUSED = {
@@ -41,12 +40,11 @@ REFUSED = {
     "os.forkpty": lambda: os.forkpty(),
     "multiprocessing": lambda: multiprocessing.Process(target=print).start(),
     "multiprocessing.Queue": lambda: multiprocessing.Queue(),
-    "multiprocessing.SimpleQueue": lambda: ThreadPool(2),
-    "asyncio": run_asyncio,
-    "select.select": lambda: select.select([], [], [], 0.01),
+    "multiprocessing.SimpleQueue": lambda: multiprocessing.SimpleQueue(),
+    "select.select": lambda: wait_for_network(lambda one: select.select([one], [], [], 0.01)),
     "select.poll": lambda: select.poll(),
     "select.epoll": lambda: select.epoll(),
-    "selectors.EpollSelector.select": lambda: selectors.DefaultSelector().select(0.01),
+    "selectors.EpollSelector.select": lambda: wait_for_network(by_selector),
     "signal.alarm": lambda: signal.alarm(100),
     "signal.setitimer": lambda: signal.setitimer(signal.ITIMER_REAL, 100.0),
     "signal.sigtimedwait": lambda: signal.sigtimedwait([signal.SIGUSR1], 0.01),
@@ -79,6 +77,14 @@ def test_non_blocking_operations_are_not_refused(now_s):
     )
     assert done.stdout == "5\n"
     assert now_s() == 0.0  # time stood still
+
+
+def test_thread_pool_of_multiprocessing_works(now_s):
+    with ThreadPool(2) as pool:
+        assert pool.map(lambda nap_s: (time.sleep(nap_s), now_s())[1], [1.0, 1.5, 1.0]) == [
+            *(1.0, 1.5, 2.0)
+        ]
+    assert now_s() == 2.0
 
 
 def test_threads_that_are_not_parties_may_block(rig):

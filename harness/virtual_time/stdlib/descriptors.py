@@ -1,0 +1,171 @@
+"""Waits for descriptors in virtual time: selectors, `select`, and sockets.
+
+A party may wait for a descriptor whose other end is in its own program: a pipe, a pair of sockets,
+an eventfd. Only a party can change it, so the wait looks at it whenever something has happened.
+This is all that an event loop of asyncio waits for, beside its timers. A network connection, a
+device or a pipe to another process changes at times of the wall clock; waiting for it is refused.
+"""
+
+import os
+import select
+import selectors
+import socket
+import stat
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import wraps
+from typing import Any, Final
+
+from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
+from motorhil.harness.virtual_time.stdlib.threads import party_here, program_here
+
+_POLL: Final = "poll with a timeout of 0, and sleep in between"
+_RECEIVING: Final = (
+    *("accept", "recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
+)
+_select = select.select
+
+
+def stand_ins() -> list[tuple[object, object]]:
+    """Return (original, stand-in) for the functions that wait for descriptors."""
+    return [(_select, select_in_virtual_time)]
+
+
+def methods() -> list[tuple[type, str, object]]:
+    """Return (class, name, stand-in) for the methods that wait for descriptors."""
+    kinds = [  # one class has a second name
+        kind
+        for name, kind in vars(selectors).items()
+        if isinstance(kind, type) and kind.__name__ == name and "select" in vars(kind)
+    ]
+    return [
+        *((kind, "select", _selecting(kind)) for kind in kinds),
+        *((socket.socket, name, _receiving(name)) for name in _RECEIVING),
+    ]
+
+
+@wraps(_select)
+def select_in_virtual_time(
+    readable: Iterable[Any],
+    writable: Iterable[Any],
+    exceptional: Iterable[Any],
+    timeout: float | None = None,
+    /,
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Stand in for select.select."""
+    if not is_meant():
+        return _select(readable, writable, exceptional, timeout)
+    sets = list(readable), list(writable), list(exceptional)
+    found: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+
+    def look() -> bool:
+        nonlocal found
+        found = _select(*sets, 0)
+        return any(found)
+
+    every = [one if isinstance(one, int) else one.fileno() for some in sets for one in some]
+    _wait("select.select", _POLL, look, timeout, every)
+    return found
+
+
+def _selecting(kind: type) -> Callable[..., Any]:
+    """Return a stand-in for the method `select` of a selector."""
+    original = vars(kind)["select"]
+    name = f"selectors.{kind.__name__.lstrip('_')}.select"
+
+    @wraps(original)
+    def stand_in(selector: selectors.BaseSelector, timeout: float | None = None) -> Any:
+        if not is_meant():
+            return original(selector, timeout)
+        found: list[Any] = []
+
+        def look() -> bool:
+            nonlocal found
+            found = original(selector, 0)
+            return len(found) > 0
+
+        _wait(name, _POLL, look, timeout, (key.fd for key in selector.get_map().values()))
+        return found
+
+    return stand_in
+
+
+def _receiving(name: str) -> Callable[..., Any]:
+    """Return a stand-in for a method of sockets that waits for data."""
+    original = getattr(socket.socket, name)
+    remedy = "make it non-blocking and sleep in between"
+
+    @wraps(original)
+    def stand_in(receiver: socket.socket, *arguments: Any, **named: Any) -> Any:
+        if is_meant():
+            timeout_s, ends = receiver.gettimeout(), (receiver.fileno(),)
+            is_there = _wait(
+                f"socket.{name}", remedy, lambda: any(_select(ends, (), (), 0)), timeout_s, ends
+            )
+            if not is_there and timeout_s:
+                raise TimeoutError("timed out")
+        return original(receiver, *arguments, **named)
+
+    return stand_in
+
+
+def _wait(
+    name: str,
+    remedy: str,
+    look: Callable[[], bool],
+    timeout_s: float | None,
+    descriptors: Iterable[int],
+) -> bool:
+    """Wait until `look` finds something, up to a time [s] of the rig; return whether it does.
+
+    Raises:
+        UsageError: it would wait for something outside the program.
+    """
+    program, party = program_here(), party_here()
+    assert program is not None
+    assert party is not None
+    if look():
+        return True
+    if timeout_s is not None and timeout_s <= 0:
+        program.look(party)  # lets time pass for a program that polls
+        return False
+    what = _foreign_among(descriptors)
+    if what:
+        refuse(name, f"it waits for {what}, which has the wall clock", remedy)
+    left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
+    return program.runtime.wait_for_parties(look, left_s)
+
+
+def _foreign_among(descriptors: Iterable[int]) -> str:
+    """Return what the first descriptor with an end outside this program is; "" if none has one."""
+    for descriptor in descriptors:
+        with suppress(OSError):  # it is closed: the wait itself tells
+            what = _foreign(descriptor)
+            if what:
+                return what
+    return ""
+
+
+def _foreign(descriptor: int) -> str:
+    mode, link = os.fstat(descriptor).st_mode, _link(descriptor)
+    if stat.S_ISFIFO(mode):
+        return "" if _ends(link) > 1 else "a pipe to another process"
+    if stat.S_ISSOCK(mode):
+        with socket.socket(fileno=os.dup(descriptor)) as copy:
+            if copy.family != socket.AF_UNIX:
+                return "a network socket"
+            return "a named socket" if copy.getsockname() or copy.getpeername() else ""
+    return "" if link == "anon_inode:[eventfd]" else f"{link}"
+
+
+def _link(descriptor: int) -> str:
+    return os.readlink(f"/proc/self/fd/{descriptor}")
+
+
+def _ends(link: str) -> int:
+    """Return how many descriptors of this process are of this pipe."""
+    found = 0
+    for name in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # that of the listing itself
+            found += _link(int(name)) == link
+    return found
