@@ -145,7 +145,7 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         self.errors: int = 0
         self._answers: dict[int, int] = {}  # number of answers by command
         self._acceleration: dict[int, int] = {}  # in its ROM, by index
-        self._speed: float | None = None  # None: not known since the drive was lost
+        self._speed: tuple[float, int] | None = None  # and its time; None: none since a loss
         self._mode_asked: int | None = None
         self._is_known = False
         self._doubts = True  # whether the next answer may be an echo
@@ -294,10 +294,11 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         self._answers[command] = self._answers.get(command, 0) + 1
         if command == _ANGLE:
             self._life.came(time_ns)
-            if self._speed is not None:
-                self.estimate = Estimate(_I32.unpack(data)[0] / 100.0, self._speed, time_ns)
+            speed = self._speed
+            if speed is not None and time_ns - speed[1] < self.options.timeout_ms * 1e6:
+                self.estimate = Estimate(_I32.unpack(data)[0] / 100.0, speed[0], time_ns)
         elif command in (_STATUS_2, Command.SPEED, Command.POSITION, Command.INCREMENT):
-            self._speed = float(int.from_bytes(data[4:6], "little", signed=True))
+            self._speed = float(int.from_bytes(data[4:6], "little", signed=True)), time_ns
         elif command == _MODE:
             self._mode_asked = data[7]  # valid from the next errors on: a fault is then known
         elif command == _READ_ACCELERATION and data[1] < _ACCELERATIONS:

@@ -86,6 +86,19 @@ def test_set_point_is_the_frame_of_the_manual(variable, value, frame):
         assert frame in ear.heard()
 
 
+def test_speed_from_long_ago_is_none_of_a_new_angle():
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.position()  # connects
+        rig.faults.inject("can0", FaultRule("silence", FaultKind.DROP, sender="left"))
+        assert rig.runtime.wait_until(lambda: motor.latest() is None, 1.0)
+        for _ in range(2):  # the first one may be an echo
+            ear.say(0x241, "A4190A0030001100")  # 48 deg/s
+        rig.runtime.run_for(1.0)
+        ear.say(0x241, "92000000E1070000")
+        assert motor.latest() is None
+
+
 def test_accelerations_are_written_to_rom_once():
     with opened() as rig, Ear(rig) as ear:
         motor = rig.motors["left"]
