@@ -53,6 +53,8 @@ CALL_MAX_S: Final = 12.0
 """The longest time of any call [s]: its own timeouts, and those of what it asks first."""
 LOOK_S: Final = 0.0037
 """The period at which the last measurement is judged: a lie is replaced by the next answer."""
+EXTRAPOLATED_S: Final = 0.02
+"""The longest time by which a host continues a position with a velocity, to begin there [s]."""
 LIE_PERIODS_S: Final = (0.0047, 0.0203, 0.0971, 0.0)
 """Periods of the foreign node [s]; 0: it is silent. None is a multiple of a drive's: two senders of
 one identifier at the same time only become error passive, at much cost."""
@@ -74,6 +76,9 @@ _SERIAL: Final = tuple(SerialFaultKind)
 _RTU: Final = tuple(kind for kind in _SERIAL if kind is not SerialFaultKind.REPEAT)
 _TIMED: Final = (SerialFaultKind.DELAY, SerialFaultKind.PAUSE, SerialFaultKind.REPEAT)
 _PLACED: Final = (SerialFaultKind.TRUNCATE, SerialFaultKind.PAUSE)
+
+_FINISHED: Final = (0.0, 0.0, -(10**18))
+"""Lowest and highest target, and begin, of a move whose end is not known: there is none."""
 
 
 class SilentlyWrong(AssertionError):  # noqa: N818 -- it says what happened
@@ -190,6 +195,11 @@ class Truth:
         seen = [one[1] for one in self._seen if one[0] >= since_ns] + [self.position()]
         return min(seen), max(seen)
 
+    def speed(self) -> float:
+        """Return the highest speed of late [rad/s]."""
+        since_ns = self._rig.runtime.now_ns() - self.age_ns
+        return max((abs(one[2]) for one in self._seen if one[0] >= since_ns), default=0.0)
+
     def require(self, what: str, value: float, at_ns: int, place: int, tolerance: float) -> None:
         """Raise SilentlyWrong if the value has not been true since `at_ns` less the age.
 
@@ -305,6 +315,7 @@ class Program:
         self._truth = Truth(rig, kind)
         self._tolerance = kind.window + _ROUNDING_RAD
         self._seen_ns = -1
+        self._unfinished = _FINISHED
         rig.runtime.every(LOOK_S, self._latest)
         self._calls = (
             *(self._position,) * 3,
@@ -369,20 +380,28 @@ class Program:
     def _move(self) -> None:
         distance = self._dice.choice((-0.4, -0.05, 0.05, 0.4))
         asked_ns = self._rig.runtime.now_ns()
-        # The host begins from a position that is as old as any other.
+        # The host begins from a position that is as old as any other, continued by its velocity,
+        # or at the target of a move that began of late, whose end it did not see.
         lowest, highest = self._truth.positions_since(asked_ns - self._truth.age_ns)
+        ahead = self._truth.speed() * EXTRAPOLATED_S
+        lowest, highest = lowest - ahead, highest + ahead
+        if asked_ns - self._unfinished[2] < self._truth.age_ns:
+            lowest = min(lowest, self._unfinished[0])
+            highest = max(highest, self._unfinished[1])
         self.motor.set_control_mode(ControlMode.TRAJECTORY)
         self.motor.set_trajectory(TrapezoidalTrajectory(distance))
         self.motor.start()
         # It may have been slowing down until it began; by now it has begun.
         least, most = self._truth.positions_since(asked_ns)
         begun = self._truth.position()
+        low = min(lowest, least if distance > 0.0 else begun) + distance
+        high = max(highest, most if distance < 0.0 else begun) + distance
+        self._unfinished = low, high, self._rig.runtime.now_ns()
         self.motor.wait_until_done(5)
+        self._unfinished = _FINISHED
         now = self._truth.position()
         # A late command may have moved it back since: that it was there is as old as any value.
         seen = self._truth.positions_since(self._rig.runtime.now_ns() - self._truth.age_ns)
-        low = min(lowest, least if distance > 0.0 else begun) + distance
-        high = max(highest, most if distance < 0.0 else begun) + distance
         near = 2 * self._tolerance
         is_beyond = now < low - near if distance < 0.0 else now > high + near
         if is_beyond or seen[1] < low - near or seen[0] > high + near:
