@@ -213,6 +213,7 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         self._transaction = 0
         self._idle_ns = 0  # end of the last exchange, with its quarantine
         self._silent_ns = 0  # end of the required silence
+        self._ours_ns = 0  # end of the silence after the use by another program
         self._owed: list[Exchange[RequestT, AnswerT]] = []  # their late answers may still come ...
         self._owed_until_ns = 0  # ... until then
         self._timer: Registration | None = None
@@ -416,7 +417,7 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         elif self._owed:
             silent_ns = max(silent_ns, self._owed_until_ns)
         if silent_ns <= now_ns and self._take_lock():
-            return 0
+            return max(0, self._ours_ns - now_ns)
         if now_ns - since_ns < _PATIENCE_NS:
             return silent_ns - now_ns if silent_ns > now_ns else _LOCKED_NS
         if exchange.is_posted:
@@ -437,6 +438,8 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
             self._hold = self._lock.acquire(self.runtime, "an exchange on the line", 0.0, self)
         except MotorBusyError:
             return False
+        if self._hold.changed_hands and self.HAS_SILENCES:  # another program has used the line
+            self._ours_ns = self.runtime.now_ns() + self.line.silence_ns
         self._set_reading(True)
         return True
 
