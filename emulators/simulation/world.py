@@ -86,6 +86,11 @@ class World(Overseer):
         """Return a line, for its faults."""
         return self._lines[name]
 
+    def serial_line(self, name: str) -> "SerialLine | None":
+        """Return the wires of a line; None on TCP."""
+        line = self._lines[name]
+        return line.line if isinstance(line, SerialSegment) else None
+
     def line_names(self) -> list[str]:
         """Return the names of the lines in the order of adding."""
         return list(self._lines)

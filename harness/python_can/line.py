@@ -5,18 +5,28 @@ gateway's line (TCP), `send` and `listen` are the two directions of one connecti
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, Protocol, final
 
-from motorhil.emulators.simulation.serial_network import SerialSegment
 from motorhil.motorapi.errors import LinkError
 
 if TYPE_CHECKING:
-    from motorhil.emulators.simulation.serial_network import LineHost
-    from motorhil.emulators.simulation.world import World
+    from motorhil.emulators.media.serial_line import SerialLine
+    from motorhil.emulators.simulation.endpoints import HostListener
+    from motorhil.harness.python_can.bus import HostPort
     from motorhil.motorapi.runtime.api import Registration, Runtime
 
 DataListener = Callable[[bytes, int], None]
 """Callback for (characters, time when the last one was complete [ns]); b"" ends the connection."""
+
+
+class Lines(Protocol):
+    """The lines of a rig: its World in this process, or their like in another one."""
+
+    def serial_line(self, name: str) -> "SerialLine | None":
+        """Return the wires of a line, for its times; None on TCP."""
+
+    def add_line_host(self, line: str, name: str, on_data: "HostListener") -> "HostPort":
+        """Return an application's port on the line; on TCP a connection."""
 
 
 @final
@@ -38,19 +48,26 @@ class _Subscription:
 class EmulatedLine:
     """One application's port on a line, or connection to a gateway.
 
+    Args:
+        world: the lines of the rig.
+        name: the line's name.
+        runtime: the Runtime in which the application waits.
+        shared_at: the socket through which processes share the rig; "": this one has it alone.
+
     Attributes:
         name: the line's name in messages.
         framing: "rtu" on a Modbus line, "serial" on another serial line, "tcp" on a gateway's.
         runtime: the Runtime in which the application waits.
         silence_ns: t3.5 [ns]; 0 where silence means nothing.
+        hub_line: the (socket path, line name) by which processes share it; None: they do not.
         is_closed: True once either end has closed the connection.
     """
 
-    def __init__(self, world: "World", name: str, runtime: "Runtime") -> None:
-        segment = world.line(name)
+    def __init__(self, world: Lines, name: str, runtime: "Runtime", shared_at: str = "") -> None:
         self.name: Final = name
         self.runtime: Final = runtime
-        serial = segment.line if isinstance(segment, SerialSegment) else None
+        self.hub_line: Final = (shared_at, name) if shared_at else None
+        serial = world.serial_line(name)
         framing = "tcp" if serial is None else "rtu" if serial.has_silences else "serial"
         self.framing: Final = framing
         self.silence_ns: Final = 0 if serial is None else serial.t35_ns
@@ -58,8 +75,9 @@ class EmulatedLine:
         self._serial = serial
         self._world = world
         self._is_over = False  # closed here
+        self._reads = True
         self._listeners: list[DataListener] = []
-        self._port: LineHost = world.add_line_host(name, "host", self._receive)
+        self._port: HostPort = world.add_line_host(name, "host", self._receive)
 
     def duration_ns(self, characters: int) -> int:
         """Return the transmission time of this many characters [ns]; 0 on a gateway's line."""
@@ -74,6 +92,10 @@ class EmulatedLine:
         if self.is_closed:
             raise LinkError(link=self.name, reason="the connection is closed")
         self._port.send(data)
+
+    def set_reading(self, reads: bool) -> None:
+        """Pass on what comes, or drop it: answers to other programs that share the line."""
+        self._reads = reads
 
     def listen(self, on_data: DataListener) -> "Registration":
         """Call `on_data` with the characters that others send."""
@@ -104,6 +126,8 @@ class EmulatedLine:
             return
         if not data:
             self.is_closed = True
+        elif not self._reads:
+            return
         for listener in tuple(self._listeners):
             listener(data, now_ns)
 

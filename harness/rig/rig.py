@@ -302,9 +302,13 @@ def add_bus(
     if bus.kind == MODBUS_TCP:
         world.add_tcp(BytePipe(bus.name, bus.latency_ns, line_plan), line_plan, bus.timeout_ns)
         return
+    world.add_serial_line(serial_line(bus, line_plan), line_plan)
+
+
+def serial_line(bus: "BusDescription", plan: SerialFaultPlan | None = None) -> SerialLine:
+    """Return the wires of a serial line of a rig."""
     settings = (bus.bitrate_bit_s, bus.parity, bus.stop_bits)
-    line = SerialLine(bus.name, *settings, line_plan, silences=bus.kind == MODBUS_RTU)
-    world.add_serial_line(line, line_plan)
+    return SerialLine(bus.name, *settings, plan, silences=bus.kind == MODBUS_RTU)
 
 
 def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, int]:

@@ -15,6 +15,7 @@ from motorhil.motorapi.errors import UsageError
 if TYPE_CHECKING:
     from motorhil.emulators.simulation.endpoints import HostPort
     from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+    from motorhil.emulators.simulation.serial_network import LineHost
     from motorhil.emulators.simulation.world import World
     from motorhil.motorapi.runtime.api import Registration
 
@@ -68,7 +69,7 @@ class Participant:
         self._checked = 0
         self._parties: Final[dict[int, VirtualParty]] = {}
         self._waits: Final[dict[int, Waiter]] = {}
-        self._ports: Final[dict[int, tuple[str, HostPort]]] = {}
+        self._ports: Final[dict[int, tuple[str, HostPort | LineHost]]] = {}
         self._periods: Final[dict[int, Registration]] = {}
         self._postponed: Final[list[bytes]] = []
         self._takers: Final[dict[int, Callable[[bytes], None]]] = {
@@ -171,19 +172,24 @@ class Participant:
         bus = records.text_of(record, records.NUMBERED.size)
         number = len(self._ports)
         world = self._seat.world
-        if bus not in world.bus_names() or number == _PORTS_MAX:
+        if bus not in (*world.bus_names(), *world.line_names()) or number == _PORTS_MAX:
             raise RecordError(f"bus {bus!r} cannot be opened")
         hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
+        if bus in world.line_names():
+            self._opened(number, bus, world.add_line_host(bus, "host", hear))
+            return
 
         def hear_classical(frame: bytes, time_ns: int, transmitted: bool) -> None:
             if len(frame) == FRAME_BYTES:
                 hear(frame, time_ns, transmitted)
 
-        port = world.add_host(bus, "host", hear if fd else hear_classical, told)
+        self._opened(number, bus, world.add_host(bus, "host", hear if fd else hear_classical, told))
+
+    def _opened(self, number: int, bus: str, port: "HostPort | LineHost") -> None:
         self._ports[number] = bus, port
         self._send(records.numbered(records.OPENED, number, port.name))
 
-    def _port(self, record: bytes) -> "tuple[str, HostPort]":
+    def _port(self, record: bytes) -> "tuple[str, HostPort | LineHost]":
         _, number = records.NUMBERED.unpack_from(record)
         return self._ports[number]
 
@@ -191,10 +197,13 @@ class Participant:
         self._port(record)[1].close()
 
     def _submit(self, record: bytes) -> None:
-        frame = record[records.NUMBERED.size :]
+        frame, (bus, port) = record[records.NUMBERED.size :], self._port(record)
+        if bus in self._seat.world.line_names():
+            port.send(frame)
+            return
         if len(frame) not in _FRAME_SIZES:
             raise RecordError(f"frame of {len(frame)} bytes")
-        self._port(record)[1].send(as_driven(frame))
+        port.send(as_driven(frame))
 
     def _note(self, record: bytes) -> None:
         bus, port = self._port(record)

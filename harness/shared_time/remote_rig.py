@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self, final
 
 from motorhil.harness.python_can.bus import EmulatedBus, close_rig, open_rig
+from motorhil.harness.python_can.line import EmulatedLine
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.rig import Named, RigPlugins, describe, read_models
 from motorhil.harness.shared_time import records
@@ -58,12 +59,16 @@ class RemoteRig:
         self._cleanup = ExitStack()
         self._cleanup.callback(link.close)
         self._cleanup.callback(self.runtime.close)
-        world = RemoteWorld(buses, link, self.runtime)
+        lines = {name: bus for name, bus in self.description.buses.items() if bus.is_line}
+        world = RemoteWorld(buses, lines, link, self.runtime)
         open_rig(world, self.runtime, shared_at)
         self._cleanup.callback(close_rig, world)
         self._plugins: Final[RigPlugins] = RigPlugins(self.description)
         self._models: Final = read_models(self.description)
         self._buses: Final = Named("bus", buses, self._bus)
+        self._lines: Final = Named(
+            "line", lines, lambda line: EmulatedLine(world, line, self.runtime, shared_at)
+        )
         self.motors: Mapping[str, Motor] = Named("motor", self.description.motors, self._motor)
         self.groups: Mapping[str, MotorGroup] = Named("group", self.description.groups, self._group)
         self.runtime.begin()
@@ -75,6 +80,14 @@ class RemoteRig:
             KeyError: the rig has no such bus.
         """
         return self._buses[name]
+
+    def line(self, name: str) -> EmulatedLine:
+        """Return this program's port on a line.
+
+        Raises:
+            KeyError: the rig has no such line.
+        """
+        return self._lines[name]
 
     def close(self) -> None:
         """Close motors and buses, and leave the rig."""
@@ -102,13 +115,8 @@ class RemoteRig:
         self._cleanup.callback(close)
         return built
 
-    def _link(self, bus: str) -> EmulatedBus:
-        if self.description.buses[bus].is_line:
-            raise UsageError(
-                f"bus {bus}: a line; expected a CAN bus in a program of another process; run the"
-                " program with 'motorhil run RIG SCRIPT'"
-            )
-        return self.bus(bus)
+    def _link(self, bus: str) -> EmulatedBus | EmulatedLine:
+        return self.line(bus) if self.description.buses[bus].is_line else self.bus(bus)
 
     def _group(self, name: str) -> "MotorGroup":
         from motorhil.motorapi.group import MotorGroup

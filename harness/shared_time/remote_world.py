@@ -1,15 +1,19 @@
-"""Buses of a rig in another process, as its programs see them."""
+"""Buses and lines of a rig in another process, as its programs see them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.simulation.ownership_notice import OwnershipNotice, pack_owns
+from motorhil.harness.rig.config.buses import MODBUS_TCP
+from motorhil.harness.rig.rig import serial_line
 from motorhil.harness.shared_time import records
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
+    from motorhil.emulators.media.serial_line import SerialLine
     from motorhil.emulators.simulation.endpoints import HostListener
+    from motorhil.harness.rig.config.buses import BusDescription
     from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
 
 
@@ -23,7 +27,7 @@ class RemoteBus:
 
 @final
 class RemotePort:
-    """A program's port on a bus of the rig.
+    """A program's port on a bus or line of the rig.
 
     Attributes:
         name: its name on the bus.
@@ -38,7 +42,7 @@ class RemotePort:
         self._head: Final[bytes] = records.NUMBERED.pack(records.SEND, number)
 
     def send(self, frame: bytes) -> None:
-        """Queue the frame for the bus."""
+        """Queue the frame for the bus, or send these characters of a line."""
         self._link.send(self._head + frame)
 
     def close(self) -> None:
@@ -49,11 +53,16 @@ class RemotePort:
 
 @final
 class RemoteWorld:
-    """The buses of the rig."""
+    """The buses of the rig, and its lines by their descriptions."""
 
     def __init__(
-        self, buses: Mapping[str, int | None], link: "RemoteLink", runtime: "RemoteRuntime"
+        self,
+        buses: Mapping[str, int | None],
+        lines: "Mapping[str, BusDescription]",
+        link: "RemoteLink",
+        runtime: "RemoteRuntime",
     ) -> None:
+        self._lines: Final = lines
         self._buses: Final[dict[str, RemoteBus]] = {
             name: RemoteBus(rate) for name, rate in buses.items()
         }
@@ -80,16 +89,30 @@ class RemoteWorld:
 
         A program opens its buses in its own turn, never in a callback.
         """
+        fd = self._buses[bus].data_bitrate_bit_s is not None
+        return self._open(bus, fd, on_frame, on_error or on_frame)
+
+    def serial_line(self, name: str) -> "SerialLine | None":
+        """Return the wires of a line, for their times; None on TCP."""
+        line = self._lines[name]
+        return None if line.kind == MODBUS_TCP else serial_line(line)
+
+    def add_line_host(self, line: str, name: str, on_data: "HostListener") -> RemotePort:
+        """Return a port of this program on the line; on TCP a connection; else as `add_host`."""
+        return self._open(line, False, on_data, on_data)
+
+    def _open(
+        self, bus: str, fd: bool, on_frame: "HostListener", on_error: "HostListener"
+    ) -> RemotePort:
         if self._runtime.is_in_callback():
             raise UsageError(
                 f"bus {bus}: opened in a callback; expected a turn of the program; open it before"
             )
-        fd = self._buses[bus].data_bitrate_bit_s is not None
         self._link.send(records.numbered(records.OPEN, int(fd), bus))
         record = self._link.receive()
         _, number = records.NUMBERED.unpack_from(record)
         told = records.text_of(record, records.NUMBERED.size)
-        self._runtime.ports[number] = on_frame, on_error or on_frame
+        self._runtime.ports[number] = on_frame, on_error
         port = self._ports[told] = RemotePort(told, number, self._link, self._runtime)
         return port
 

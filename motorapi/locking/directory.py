@@ -262,6 +262,9 @@ def hub_name(path: str, bus: str) -> str:
 
 def line_name(line: object) -> str | None:
     """Return the name of the line of a byte line object; None: it exists in this process only."""
+    hub = getattr(line, "hub_line", None)
+    if hub is not None:
+        return hub_name(*hub)
     path, address = getattr(line, "path", None), getattr(line, "address", None)
     if isinstance(path, str):
         return serial_name(path)

@@ -144,7 +144,7 @@ def guest(path, name, body):
     head = link.receive()
     _, _, now_ns, _ = records.WELCOMED.unpack_from(head)
     runtime = RemoteRuntime(link, now_ns)
-    world = RemoteWorld(json.loads(head[records.WELCOMED.size :]), link, runtime)
+    world = RemoteWorld(json.loads(head[records.WELCOMED.size :]), {}, link, runtime)
     runtime.begin()
     try:
         body(runtime, world)

@@ -9,6 +9,7 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.shared_time.programs import run_programs
 from motorhil.traces.digest import digest
+from tests.support.modbus.rigs import text
 
 pytestmark = pytest.mark.wall
 
@@ -43,6 +44,22 @@ for number in range(3):
             os.kill(os.getpid(), 9)
         print(number, f"{wheel.position():.3f}")
     rig.runtime.run_for(0.001)
+"""
+
+
+TURNER = """
+import sys, motorhil
+from motorhil.motorapi import ControlMode
+rig = motorhil.join()
+for turn, name in enumerate(sys.argv[1:], 1):
+    motor = rig.motors[name]
+    with motor.reserve(timeout_s=30):
+        motor.enable()
+        motor.set_control_mode(ControlMode.SETPOINT)
+        motor.set_setpoint(0.2 * turn)
+        motor.start()
+        motor.wait_until_done(timeout_s=5)
+        print(name, f"{motor.position():.3f}")
 """
 
 
@@ -95,6 +112,27 @@ def test_two_runs_of_programs_that_share_motor_make_one_record(run, tmp_path):
             *("two: 1 -0.600", "one: 2 0.900", "two: 2 -0.900"),
         ]
         digests.add(digest(tmp_path / f"{name}.mcap"))
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize("line", ["rtu", "tcp"])
+def test_programs_share_line_and_make_one_record(run, tmp_path, line):
+    """Each program drives both motors: on RTU a request once followed an answer at once."""
+    base = text(line=line, names=("one", "two"))
+    programs = [
+        program("first", "python", "turner.py", "one", "two"),
+        program("second", "python", "turner.py", "two", "one"),
+    ]
+    (tmp_path / "turner.py").write_text(TURNER)
+    digests = set()
+    for name in ("once", "again"):
+        record = tmp_path / f"{name}.mcap"
+        lines, wrong = run(*programs, base=base, record=record)
+        assert wrong == {}
+        assert sorted(lines) == [
+            *("first: one 0.200", "first: two 0.400", "second: one 0.400", "second: two 0.200"),
+        ]
+        digests.add(digest(record))
     assert len(digests) == 1
 
 
