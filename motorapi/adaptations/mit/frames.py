@@ -88,6 +88,11 @@ class Maker(Enum):
         self.zero_s = zero_s
         self.faults = faults
 
+    def has_fault(self, code: int) -> bool:
+        """Return whether its drives can report this; RobStride reports several by their sum."""
+        several = sum(self.faults) if self is Maker.ROBSTRIDE else 0
+        return code in (0, *self.faults) or (bool(several) and not code & ~several)
+
 
 _AK: Final = (
     *(

@@ -328,7 +328,11 @@ class MitHwMotor(CanHardware[MitOptions]):
         if isinstance(answer, str):
             self._others.add(answer)
             return
-        before, self.answer = self.answer, answer
+        before = self.answer
+        if before is None and not self.frames.maker.has_fault(answer.fault):
+            self._others.add(f"fault {answer.fault:02X}h, which such a drive does not have")
+            return
+        self.answer = answer
         elapsed_s = (time_ns - self.time_ns) / 1e9
         self.time_ns = time_ns
         if answer.is_on is not None:
@@ -398,7 +402,11 @@ class MitHwMotor(CanHardware[MitOptions]):
                 self.drive.exchange(
                     partial(self.drive.request, _PARAMETERS, self._awaited + bytes(4)),
                     partial(self._parameters.__contains__, one),
-                    *(_ANSWER_S, f"parameter {one}", _AGAIN_S),
+                    *(
+                        _ANSWER_S,
+                        f"parameter {one}, which a Damiao drive tells; check drive",
+                        _AGAIN_S,
+                    ),
                 )
         told = [self._parameters[one] for one in sorted(self._parameters)]
         ours = self.frames.ranges[:3]

@@ -245,6 +245,7 @@ class MitTable(ClassicalOptions):
     """A motor behind a drive with MIT frames."""
 
     node_id: int = whole(REQUIRED, 1, 127, "", "Identifier of requests.", example="1")
+    drive: str = word(REQUIRED, MODELS, "model", "Its model, which determines the ranges.")
     name: str | None = text(None, "Name of the motor; absent: the model's.")
 
 

@@ -103,6 +103,7 @@ class RobstrideTable(RobstrideOptions):
     """A motor behind a RobStride or CyberGear drive."""
 
     node_id: int = whole(REQUIRED, 1, 127, "", "Number of the motor.", example="1")
+    drive: str = word(REQUIRED, ROBSTRIDES, "model", "Its model, which determines the ranges.")
     name: str | None = text(None, "Name of the motor; absent: the model's.")
 
 

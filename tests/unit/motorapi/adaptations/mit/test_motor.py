@@ -16,6 +16,7 @@ from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
+    DeadlineExceeded,
     DeviceFault,
     LimitError,
     LinkError,
@@ -25,6 +26,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
+from tests.support.kit_benches import RIGS
 
 FIRMWARE = ["ak80_6_v2", "mini_cheetah", "dm4310", "rs01"]
 PLANT = (
@@ -395,6 +397,30 @@ def test_short_answers_of_another_firmware_are_named():
         pytest.raises(LinkError, match="an answer of 6 bytes"),
     ):
         rig.motors["left"].position()
+
+
+@pytest.mark.parametrize("told", ["ak80_6_v2", "mini_cheetah"])
+def test_drive_of_another_maker_is_told_by_a_fault_that_it_cannot_have(told):
+    """A Damiao drive has its temperature in that byte; the motor was accused of four faults."""
+    message = "heard there: fault 19h, which such a drive does not have; check .* drive"
+    with opened("dm4310", told=told) as rig, pytest.raises(LinkError, match=message):
+        rig.motors["left"].enable()
+
+
+def test_drive_without_parameters_is_told_to_be_no_damiao():
+    with (
+        opened("ak80_6_v2", told="dm4310") as rig,
+        pytest.raises(DeadlineExceeded, match="parameter 21, which a Damiao drive tells; check"),
+    ):
+        rig.motors["left"].enable()
+
+
+@pytest.mark.parametrize(("kind", "drive"), [("mit", "dm4310"), ("robstride", "rs01")])
+def test_drive_has_no_default(kind, drive):
+    text = (RIGS / f"{kind}.toml").read_text().replace(f'drive = "{drive}"\n', "")
+    description = parse_rig(Source(Path("rig.toml"), text), installed_plugins())
+    with pytest.raises(RigError, match="drive"), Rig(description) as rig:
+        assert rig.motors["left"]
 
 
 def test_answers_of_six_bytes_are_enough():
