@@ -129,13 +129,13 @@ def test_library_frames_of_the_encoder_are_taken_without_error(frame):
     assert bench.tell(frame) == ""
 
 
-def test_query_of_issue_92_has_its_reply_but_for_the_version():
-    """Their hardware has ABI 1.11; ours 1.1.0."""
+def test_query_of_issue_92_has_its_reply():
+    """Its hardware has ABI 1.11."""
     query = "01000a0d20cdcc4c3f0d290000c0401100110b198102"
-    bench = Bench()
+    bench = Bench(abi_version=0x10B)
     for _ in range(40):  # 0.8 rev at 6 rev/s^2 take 0.73 s
         reply = bench.run(50).tell(query)
-    assert reply == "21000a210b01298102" + "00010100" + "505050"
+    assert reply == "21000a210b012981020b010000505050"
 
 
 def test_diagnostic_text_stops_the_drive():

@@ -135,6 +135,8 @@ BACKWARD = {"celsius": 50, "amps": -1.0, "dps": -500, "degrees": -45}
         (BACKWARD, "A400F4016073FFFF", "A4329CFF0CFED3FF"),
         (FORWARD, "A800F401A08C0000", "A8326400F4012D00"),  # (2.24)
         ({**FORWARD, "degrees": 1000.5 / 16384 / 66 * 360}, "A601F401A08C0000", "A6326400F401E803"),
+        ({"degrees": 10000.5 / 16384 / 66 * 360}, "6000000000000000", "6000000010270000"),  # (2.6)
+        ({"degrees": 10000.5 / 16384 / 66 * 360}, "6400000000000000", "6400000010270000"),  # (2.9)
         ({"celsius": 50, "volts": 48.5}, "9A00000000000000", "9A320001E5010400"),  # (2.14)
     ],
 )
@@ -146,7 +148,7 @@ def test_drive_in_the_state_of_the_manual_has_its_answer(
         rmd.told("7700000000000000")  # the brake is open
         rmd.stimulate("fault", 0x0004)
     told = {
-        "winding_temperature_c": state["celsius"],
+        "winding_temperature_c": state.get("celsius", 25),
         "dc_link_v": state.get("volts", 24.0),
         "current_a": state.get("amps", 0.0),
         "velocity_inc_s": state.get("dps", 0.0) * TURN / 360,

@@ -121,6 +121,54 @@ def test_status_has_erpm_current_and_duty():
     assert duty == pytest.approx(-(3000 / 60 * tau * KT + 0.154 * R) / SUPPLY_V * 1000, abs=8)
 
 
+@pytest.mark.parametrize(
+    ("status", "state", "can_id", "data"),
+    [
+        # -3000 ERPM, -12.5 A, duty -0.321: the supply for that duty
+        (
+            1,
+            {
+                "velocity_inc_s": -3000.01 / 7 / 60 * 2000,
+                "current_a": -12.5,
+                "dc_link_v": (3000 / 7 / 60 * tau * KT + 12.5 * R) / 0.3214,
+            },
+            *(0x917, "FFFFF448FF83FEBF"),
+        ),
+        # 25.3 and -100.5 degC, 1.2 A of the supply, 359.9 degrees
+        (
+            8,
+            {
+                "winding_temperature_c": -100.5,
+                "current_a": (1.201 * SUPPLY_V / R) ** 0.5,
+                "velocity_inc_s": 0.0,
+                "count": 2000 * 359.9001 / 360,
+            },
+            *(0x1017, "00FDFC13000C464B"),
+        ),
+        # tachometer -42, 48.1 V
+        (16, {"count": -2000, "dc_link_v": 48.1}, *(0x1B17, "FFFFFFD601E10000")),
+    ],
+)
+def test_status_in_the_state_of_the_golden_frame_is_that_frame(
+    monkeypatch, status, state, can_id, data
+):
+    plant = {
+        "preset": "wheel_60w",
+        "ambient_c": 25.3,
+        "thermal_resistance_winding_housing_k_w": 1.7,
+        "thermal_resistance_housing_ambient_k_w": 3.2,
+        "thermal_time_constant_winding_s": 16.2,
+        "thermal_time_constant_motor_s": 714.0,
+    }
+    vesc = Vesc(status_1=status, plant=plant, timeout_s=0.0)
+    vesc.command(1, 500)  # a mode, in which there is a duty
+    for name, value in state.items():
+        monkeypatch.setattr(vesc.drive.axis, name, lambda value=value: value)
+    vesc.heard.clear()
+    vesc.run(25)
+    assert (can_id, data) in [(one, told.upper()) for _, one, told in vesc.heard]
+
+
 def test_status_4_has_temperatures_and_angle():
     vesc = Vesc(status_1=8, initial_position_rad=-0.1 / 360 * tau / GEAR)
     (_, can_id, data) = vesc.heard[0] if vesc.heard else vesc.run(0).heard[0]
