@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from motorhil.harness.cli.main import PASSED
+from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, installed
 from motorhil.harness.rig.config.ros2_canopen import rig_of_bus
 from motorhil.harness.rig.config.scaffold import (
     CI_FILES,
@@ -84,11 +85,21 @@ def run(options: argparse.Namespace) -> int:
 
 def _drive(folder: Path | None, name: str, *, as_json: bool) -> int:
     folder = Path(f"motorhil-{name}") if folder is None else folder
+    _refuse_installed(folder, name)
     files = [str(path) for path in write_new_drive(folder, name)]
     command = ["pip", "install", "-e", str(folder)]
     print(json.dumps({"files": files, "next": command}) if as_json else "\n".join(files))
     print(f"next: {shlex.join(command)}, then read {folder / 'README.md'}", file=sys.stderr)
     return PASSED
+
+
+def _refuse_installed(folder: Path, name: str) -> None:
+    """Raise RigError if the name is one of a plugin, which would hide the new one."""
+    for group in (ADAPTATIONS, CONTROLLERS):
+        known = installed(group).get(name)
+        if known is not None:
+            what = f"{name!r} is a kind of {known.package or known.target}, which is installed"
+            raise RigError(folder, what, "use another name; the new package would not be found")
 
 
 def _from_bus(source: Path, folder: Path, *, as_json: bool) -> int:

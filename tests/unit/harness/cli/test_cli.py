@@ -353,6 +353,18 @@ def plugin(rig, monkeypatch):
 LEFT_KIND = 'rig.toml:6: controller.left.kind: plugin "broken" '
 
 
+@pytest.mark.parametrize("name", ["vesc", "cia401"])
+def test_new_drive_of_installed_name_is_refused(bench, say, name):
+    """Installed, the new package was hidden by the one of motorhil."""
+    status, out, err = say("new", "package", "--drive", name)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"package: {name!r} is a kind of motorhil ")
+    assert err.endswith(
+        "which is installed; use another name; the new package would not be found\n"
+    )
+    assert not (bench / "package").exists()
+
+
 @pytest.mark.parametrize("name", ["", "2wheels", "Acme", "acme-2", "a" * 33, "../acme"])
 def test_new_drive_of_impossible_name_is_refused(bench, say, name):
     told = f"{name!r} is not the name of a drive; use up to 32 of a-z, 0-9 and _, a letter first"
