@@ -16,7 +16,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from motorhil.harness.cli.main import FAILED, INTERRUPTED, PASSED, WRONG_USAGE
+from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import (
     add_eds,
     add_max_memory,
@@ -321,7 +321,16 @@ def replay_as_host(options: argparse.Namespace) -> int:
         print(json.dumps(_facts(player, found, differing)))
     else:
         _print_host_result(options, player, found, differing)
-    return FAILED if differing or player.missed else PASSED
+    if differing or player.missed:
+        return FAILED
+    if not any(one.is_compared for one in found):
+        print(
+            f"motorhil replay: {options.named}: nothing was compared: no value of these devices "
+            "can be compared; compare the new recording (-o) with 'motorhil show'",
+            file=sys.stderr,
+        )
+        return NOT_JUDGED
+    return PASSED
 
 
 def _on_rig(options: argparse.Namespace, description: "RigDescription", live: Path) -> "HostReplay":

@@ -96,6 +96,14 @@ def test_as_host_lists_every_object(folder, say):
     assert "100.00 % of what they tell agrees" in out
 
 
+def test_as_host_with_nothing_to_compare_is_not_passed(folder, say):
+    """Passed, whatever the drives did: no value of RMD's frames was compared."""
+    status, out, err = say("replay", str(FOLDER / "rmd.mcap"), "--as", "host")
+    assert status == 3
+    assert "0 objects" in out
+    assert "rmd.mcap: nothing was compared: no value of these devices can be compared" in err
+
+
 def test_as_host_json_has_all_facts(folder, say):
     status, out, _ = say("replay", "bench.mcap", "--as", "host", "--json")
     told = json.loads(out)
