@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.canopen.sdo import decode_answer
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
@@ -239,6 +240,8 @@ class ParameterStore:
                 own = self._objects.upload(*place)
             except SdoAborted as error:
                 raise UnsupportedError(motor=motor, feature=f"{_name(place)} ({error})") from error
+            kind = self._node.objects.type_of(*place)
+            decode_answer(self._node.node_id, place, kind or "bytes", own)  # of the whole length
             self._own[place] = own
         return own
 

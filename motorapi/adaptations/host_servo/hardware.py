@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 from motorhil.motorapi.adaptations.canopen.node import node_locks
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.objects import Value
+from motorhil.motorapi.adaptations.canopen.sdo import decode_answer
 from motorhil.motorapi.adaptations.host_servo.axis import (
     AMPLIFIER_FAULT,
     COMMUNICATION,
@@ -237,8 +238,9 @@ class AmplifierHwMotor:
 
     def _poll(self) -> PolledCount:
         begun_ns = self.runtime.now_ns()
-        data = self.node.sdo.upload(self.options.counter, self.channel)
-        value = int.from_bytes(data[:4], "little", signed=True)
+        place = self.options.counter, self.channel
+        value = decode_answer(self.node.node_id, place, "i32", self.node.sdo.upload(*place))
+        assert isinstance(value, int)  # an i32
         return PolledCount(value, begun_ns, self.runtime.now_ns())
 
     # --- objects and frames ----------------------------------------------------------------

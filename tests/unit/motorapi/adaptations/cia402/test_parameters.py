@@ -6,6 +6,7 @@ from math import inf
 import pytest
 
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.commands import ControlMode
@@ -55,6 +56,22 @@ def test_two_logical_motors_each_move_with_their_own_gains(rig: Rig):
     move(stiff)
     move(stiff)
     assert "60FB" not in [name for name, _ in written]  # it has not changed hands
+
+
+def test_original_value_that_was_cut_is_not_restored(rig: Rig, monkeypatch: pytest.MonkeyPatch):
+    """One bit of the answer's length had turned: 2 of 4 bytes were kept, and written back."""
+    motor, _ = two_motors(rig)
+    move(motor)
+    motor.set_parameters(Cia402Parameters(position_window=0.05))
+    sdo = motor.hardware.node.sdo
+    whole = sdo.upload
+    monkeypatch.setattr(
+        sdo, "upload", lambda *place: whole(*place)[: 2 if place == (0x6067, 0) else 8]
+    )
+    with pytest.raises(ProtocolViolation, match="2 bytes"):
+        move(motor)
+    monkeypatch.undo()
+    move(motor)
 
 
 def test_what_was_written_is_believed_only_while_the_motor_does_not_change_hands(rig: Rig):

@@ -6,11 +6,13 @@ The servo keeps control of its motor, or releases it.
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.harness.rig.rig import Rig
+from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import MotorError, PluginError
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
@@ -39,6 +41,25 @@ RULES = st.lists(
     max_size=3,
 )
 DISTANCES = st.lists(st.floats(-0.6, 0.6).map(lambda x: round(x, 3)), min_size=1, max_size=2)
+
+
+def test_count_cut_to_two_bytes_is_no_position(tmp_path):
+    """A count of 35,888 was read as -29,648 after one bit of the answer's length had turned."""
+    path = tmp_path / "rig.toml"
+    path.write_text(HEAD + one())
+    with Rig.open(path) as rig:
+        left = rig.motors["left"]
+        left.set_control_mode(ControlMode.TRAJECTORY)
+        left.set_trajectory(TrapezoidalTrajectory(1.7))
+        left.start()
+        left.wait_until_done(10)
+        left.disable()
+        rig.runtime.run_for(0.2)
+        assert inc(rig) > 0x7FFF
+        answer = FaultRule("cut", FaultKind.CORRUPT, 0x581, flip=b"\x08")
+        rig.faults.inject("can0", answer)
+        with pytest.raises(ProtocolViolation, match="2 bytes"):
+            left.position()
 
 
 @settings(max_examples=examples(6), deadline=None)
