@@ -10,9 +10,10 @@ numbers of the descriptors).
 """
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from typing import Final, final
 
 Value = int | float | bool | str | bytes | Sequence[float] | Sequence[str] | Mapping[str, "Value"]
@@ -289,56 +290,70 @@ def decode(message: Message, payload: bytes) -> dict[str, Value]:
     known = _TABLES.get(id(message))
     if known is None or known[0] is not message:
         known = _table(message)
-    fields = known[1]
-    offset = 0
-    while offset < len(payload):
-        key, offset = read_varint(payload, offset)
+    fields, readers = known[1:]
+    offset, end = 0, len(payload)
+    while offset < end:
+        key = payload[offset]
+        offset += 1
+        if key > 0x7F:
+            key, offset = read_varint(payload, offset - 1)
         raw, offset = _read_raw(payload, offset, key & 7)
-        found = fields.get(key >> 3)
-        if found is None:
-            continue
-        field, expected = found
-        if field.repeated:
-            # Numbers can be packed or single; length-delimited values are always single.
-            if key & 7 == _LENGTH and expected != _LENGTH and isinstance(raw, bytes):
-                _extend(values, field, _unpack(field, expected, raw))
-                continue
-            if key & 7 == expected:
-                _extend(values, field, [_decode_one(field, raw)])
-                continue
-        elif key & 7 == expected:
-            values[field.name] = _decode_one(field, raw)
-            continue
-        raise ValueError(f"{message.name}.{field.name} has wire type {key & 7} at byte {offset}")
+        reader = readers.get(key)
+        if reader is not None:
+            name, read = reader
+            values[name] = raw if read is None else read(raw)
+        elif key >> 3 in fields:
+            field = fields[key >> 3]
+            if not field.repeated or not _extend(values, field, key & 7, raw):
+                wire_type = f"wire type {key & 7} at byte {offset}"
+                raise ValueError(f"{message.name}.{field.name} has {wire_type}")
     return values
 
 
-_Table = tuple[Message, dict[int, tuple[Field, int]]]
-"""A message, and its fields with their wire types, by number."""
+_Read = Callable[[int | bytes], Value]
+_Table = tuple[Message, dict[int, Field], dict[int, tuple[str, _Read | None]]]
+"""A message; its fields by number; by tag, names and readers of those that are not repeated."""
 _TABLES: Final[dict[int, _Table]] = {}  # by id of the message
 _TABLES_KEPT: Final = 256
 
 
 def _table(message: Message) -> _Table:
-    fields = {one.number: (one, _WIRE_TYPE.get(one.kind, _VARINT)) for one in message.fields}
+    readers = {
+        one.number << 3 | _WIRE_TYPE.get(one.kind, _VARINT): (one.name, _reader(one))
+        for one in message.fields
+        if not one.repeated
+    }
     if len(_TABLES) >= _TABLES_KEPT:
         _TABLES.clear()
-    found = _TABLES[id(message)] = message, fields
+    fields = {one.number: one for one in message.fields}
+    found = _TABLES[id(message)] = message, fields, readers
     return found
 
 
-def _extend(values: dict[str, Value], field: Field, more: list[Value]) -> None:
+def _extend(values: dict[str, Value], field: Field, wire_type: int, raw: int | bytes) -> bool:
+    """Add to a repeated field; return False if the wire type is not the table's.
+
+    Numbers can be packed or single; length-delimited values are always single.
+    """
+    expected, read = _WIRE_TYPE.get(field.kind, _VARINT), _reader(field)
+    if wire_type == expected:
+        more = [raw]
+    elif wire_type == _LENGTH and isinstance(raw, bytes):
+        more = _unpack(expected, raw)
+    else:
+        return False
     held = values.get(field.name, [])
     assert isinstance(held, list)
-    values[field.name] = held + more
+    values[field.name] = held + [one if read is None else read(one) for one in more]
+    return True
 
 
-def _unpack(field: Field, wire_type: int, packed: bytes) -> list[Value]:
-    out: list[Value] = []
+def _unpack(wire_type: int, packed: bytes) -> list[int | bytes]:
+    out: list[int | bytes] = []
     offset = 0
     while offset < len(packed):
         raw, offset = _read_raw(packed, offset, wire_type)
-        out.append(_decode_one(field, raw))
+        out.append(raw)
     return out
 
 
@@ -352,23 +367,49 @@ def _read_raw(data: bytes, offset: int, wire_type: int) -> tuple[int | bytes, in
         length = 4 if wire_type == _FIXED_32 else 8
     else:
         raise ValueError(f"wire type {wire_type} at byte {offset}")
-    if offset + length > len(data):
+    end = offset + length
+    if end > len(data):
         raise ValueError(f"field of {length} bytes at byte {offset} goes beyond the end")
-    return data[offset : offset + length], offset + length
+    return data[offset:end], end
 
 
-def _decode_one(field: Field, raw: int | bytes) -> Value:
-    if isinstance(raw, int):
-        if field.kind is Kind.BOOL:
-            return raw != 0
-        signed = raw >= 1 << 63 and field.kind in (Kind.INT32, Kind.INT64)
-        return raw - (1 << 64) if signed else raw
-    if field.kind is Kind.DOUBLE:
-        return float(_DOUBLE.unpack(raw)[0])
-    if field.kind is Kind.FIXED32:
-        return int(_UINT32.unpack(raw)[0])
-    if field.kind is Kind.STRING:
-        return raw.decode(errors="replace")
+def _reader(field: Field) -> _Read | None:
+    """Return the function from a raw value to the field's; None: they are the same."""
     if isinstance(field.of, Message):
-        return decode(field.of, raw)
-    return raw
+        return partial(_nested, field.of)
+    return _READERS.get(field.kind)
+
+
+def _nested(message: Message, raw: int | bytes) -> Value:
+    assert isinstance(raw, bytes)
+    return decode(message, raw)
+
+
+def _signed(raw: int | bytes) -> int:
+    assert isinstance(raw, int)
+    return raw - (1 << 64) if raw >= 1 << 63 else raw
+
+
+def _real(raw: int | bytes) -> float:
+    assert isinstance(raw, bytes)
+    return float(_DOUBLE.unpack(raw)[0])
+
+
+def _unsigned(raw: int | bytes) -> int:
+    assert isinstance(raw, bytes)
+    return int(_UINT32.unpack(raw)[0])
+
+
+def _text(raw: int | bytes) -> str:
+    assert isinstance(raw, bytes)
+    return raw.decode(errors="replace")
+
+
+_READERS: Final[dict[Kind, _Read]] = {
+    Kind.BOOL: bool,
+    Kind.INT32: _signed,
+    Kind.INT64: _signed,
+    Kind.DOUBLE: _real,
+    Kind.FIXED32: _unsigned,
+    Kind.STRING: _text,
+}  # the others are what they are on the wire

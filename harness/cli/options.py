@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.harness.cli.printable import coloured, print_coloured, printable
+from motorhil.harness.cli.printable import coloured, print_as_is, printable
 from motorhil.harness.rig.config.toml import SEED_MAX, one_line
 from motorhil.traces.files import MEMORY_MAX
 
@@ -243,7 +243,7 @@ def print_table(
         ]
         if has_colours and row is not head:
             tinted = [coloured(*pair) for pair in zip(row, map(printable, cells), strict=True)]
-            print_coloured("  ".join(tinted).rstrip())
+            print_as_is("  ".join(tinted).rstrip())
             continue
         text = "  ".join(cells).rstrip()
         print(text if text.isprintable() else one_line(text))

@@ -39,8 +39,8 @@ class _Printable:
         """Write the text, printable."""
         return self._stream.write(printable(text))
 
-    def write_coloured(self, text: str) -> int:
-        """Write a line of ours that contains colours; everything else in it is printable."""
+    def write_as_is(self, text: str) -> int:
+        """Write a text that is printable already, but for colours of ours."""
         return self._stream.write(text)
 
     def __getattr__(self, name: str) -> Any:  # Any: whatever the stream has
@@ -80,9 +80,9 @@ def coloured(word: str, shown: str) -> str:
     return shown if colour is None else f"\x1b[{colour}m{printable(shown)}\x1b[0m"
 
 
-def print_coloured(line: str) -> None:
-    """Print a line of `coloured` and printable texts."""
-    write = getattr(sys.stdout, "write_coloured", sys.stdout.write)
+def print_as_is(line: str) -> None:
+    """Print a line that is printable already, but for texts of `coloured`."""
+    write = getattr(sys.stdout, "write_as_is", sys.stdout.write)
     write(f"{line}\n")
 
 

@@ -338,7 +338,13 @@ def _on_rig(options: argparse.Namespace, description: "RigDescription", live: Pa
     from motorhil.harness.replay.host import DrivenRig, bench_of, drive
     from motorhil.harness.rig.rig import Rig
 
-    with Rig(description, seed=options.seed, realtime=options.realtime, record=live) as rig:
+    with Rig(
+        description,
+        seed=options.seed,
+        realtime=options.realtime,
+        record=live,
+        truths=options.output is not None,  # the comparison does not need them
+    ) as rig:
         for note in rig.notes:
             print(note, file=sys.stderr)
         bench = bench_of(description)

@@ -18,7 +18,7 @@ from motorhil.harness.cli.options import (
     identifier,
     whole,
 )
-from motorhil.harness.cli.printable import teller
+from motorhil.harness.cli.printable import print_as_is, teller
 from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.recording.decoders import description_for
@@ -93,8 +93,7 @@ def run(options: argparse.Namespace) -> int:
                 seen += 1
                 if wanted.takes(line):
                     shown += 1
-                    text = json.dumps(facts_of(line)) if options.json else text_of(line)
-                    sys.stdout.write(f"{text}\n")
+                    print_as_is(json.dumps(facts_of(line)) if options.json else text_of(line))
         _warn(trace)
         if not shown:
             tell(outside[0] if outside else f"{trace.path}: {_nothing(trace, seen)}")
@@ -130,7 +129,7 @@ def _wait() -> None:
 
 
 def text_of(line: Line) -> str:
-    """Return a line as text: time [s], place, sentence."""
+    """Return a line as printable text: time [s], place, sentence."""
     text = f"{line.time_ns // _NS:5d}.{line.time_ns % _NS:09d}  {line.place:<8}  {line.text}"
     return text if text.isprintable() else one_line(text)
 

@@ -6,7 +6,7 @@ share one context: motors, axes and gaps of the recording. Memory is bounded by 
 motors, never by time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import ClassVar, Final, TypeVar, final
@@ -452,6 +452,12 @@ class Oracle:
         if total.looked:
             return Finding(*head, Verdict.HELD, total.looked)
         return Finding(*head, Verdict.NOT_JUDGED, reason="; ".join(self._reasons) or self.needs)
+
+
+def hooks(oracles: Sequence[Oracle], name: str) -> Sequence[Callable[..., None]]:
+    """Return the hooks of those oracles that override this method."""
+    base = getattr(Oracle, name)
+    return [getattr(one, name) for one in oracles if getattr(type(one), name) is not base]
 
 
 def _sum(

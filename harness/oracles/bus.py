@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Final, final
 
-from motorhil.harness.oracles.base import CONTROLWORD, Axis, Oracle, RecordingContext
+from motorhil.harness.oracles.base import CONTROLWORD, Axis, Oracle, RecordingContext, hooks
 from motorhil.traces.decoding.can_errors import ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
@@ -54,10 +54,10 @@ class BusListener:
                 self._signed[index] = is_signed
                 self._wanted[index] = (*self._wanted.get(index, ()), oracle.value)
         self._off: dict[str, int] = {}  # time of bus-off, by node name
-        self._on_sync = _hooks(oracles, "sync")
-        self._on_tpdo = _hooks(oracles, "tpdo")
-        self._on_sender = _hooks(oracles, "sender")
-        self._on_heartbeat = _hooks(oracles, "heartbeat")
+        self._on_sync = hooks(oracles, "sync")
+        self._on_tpdo = hooks(oracles, "tpdo")
+        self._on_sender = hooks(oracles, "sender")
+        self._on_heartbeat = hooks(oracles, "heartbeat")
 
     def take(self, time_ns: int, frame: bytes, sender: str) -> None:
         """Take a recorded frame."""
@@ -270,9 +270,3 @@ class BusListener:
         axis.take(time_ns, index, subindex, value, to)
         for hook in wanted:
             hook(time_ns, axis, index, subindex, value, to)
-
-
-def _hooks(oracles: Sequence[Oracle], name: str) -> Sequence[Callable[..., None]]:
-    """Return the hooks of those oracles that override this method."""
-    base = getattr(Oracle, name)
-    return [getattr(one, name) for one in oracles if getattr(type(one), name) is not base]

@@ -15,7 +15,7 @@ from typing import Final, final
 
 from motorhil.harness.oracles import ownership
 from motorhil.harness.oracles.arrival import Arrival
-from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict
+from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict, hooks
 from motorhil.harness.oracles.bus import BusListener
 from motorhil.harness.oracles.commands import CommandsObeyed, ModeSigns
 from motorhil.harness.oracles.facts import Facts, subjects_in
@@ -160,6 +160,8 @@ class Pass:
         self._judges = [one(context) for one in ORACLES if not only or one.id in only]
         self._incidents = incidents
         self._oracles = self._judges if incidents is None else [*self._judges, incidents]
+        self._on_motion = hooks(self._oracles, "motion")
+        self._on_truth = hooks(self._oracles, "truth")
         self._motors: set[str] = set()  # with a state of their own in the recording
         self._buses: dict[str, BusListener] = {}
         self._handlers: dict[int, _Handler | None] = {}
@@ -277,12 +279,12 @@ class Pass:
         return frame
 
     def _motion(self, motor: str, time_ns: int, values: Mapping[str, float]) -> None:
-        for oracle in self._oracles:
-            oracle.motion(time_ns, motor, values)
+        for hook in self._on_motion:
+            hook(time_ns, motor, values)
 
     def _truth(self, controller: str, time_ns: int, values: Mapping[str, float]) -> None:
-        for oracle in self._oracles:
-            oracle.truth(time_ns, controller, values)
+        for hook in self._on_truth:
+            hook(time_ns, controller, values)
 
     def _lock(self, motor: str, time_ns: int, payload: bytes) -> None:
         action = _ACTIONS.get(decode(MOTOR_LOCK, payload).get("action", 0), LockAction.UNKNOWN)

@@ -99,6 +99,8 @@ class _Limit(Oracle, ABC):
         self, time_ns: int, axis: Axis | None, one: Subject, what: str, value: float
     ) -> None:
         """Examine a value in SI units against a file of limits."""
+        if not one.limits:
+            return
         suffix, unit = self.si_unit_of(one)
         text = f"{self.quantity.replace('_', ' ')}, {what}"
         self.compare(time_ns, axis, one.name, text, value, self.limits_of(one, suffix), unit)

@@ -125,6 +125,50 @@ class _Heartbeat:
 
 
 @final
+class _Reports:
+    """What was heard about one subject: the reports that no wait has passed over, by value.
+
+    Attributes:
+        last: the last report; None: none so far.
+        in_vain: the number of waits in vain since then.
+        is_given_up: True if an answer that was given up may still arrive.
+    """
+
+    def __init__(self) -> None:
+        self.last: Told | None = None
+        self.in_vain: int = 0
+        self.is_given_up = False
+        self._count = 0
+        self._passed = 0
+        self._by_value: dict[object, deque[tuple[int, int]]] = {}  # numbers and times [ns]
+
+    def add(self, told: Told) -> None:
+        """Add a report."""
+        self.last, self.in_vain = told, 0
+        self._by_value.setdefault(told.value, deque()).append((self._count, told.time_ns))
+        self._count += 1
+
+    def pass_over(self, value: object) -> int | None:
+        """Pass over all reports up to the next one of this value, and return its time [ns].
+
+        Return None, and pass over none, if it has not come.
+        """
+        waiting = self._by_value.get(value, deque())
+        while waiting:
+            number, time_ns = waiting.popleft()
+            if number >= self._passed:
+                self._passed = number + 1
+                return time_ns
+        return None
+
+    def forget(self) -> bool:
+        """Pass over all reports; return False if there are none."""
+        had_some = self._passed < self._count
+        self._passed = self._count
+        return had_some
+
+
+@final
 class HostPlayer:
     """Player of one host on all its buses.
 
@@ -143,6 +187,7 @@ class HostPlayer:
         silent: the subjects that got no patience at least once, because they reported nothing.
         pairs: (recorded time, live time) of frames that were on their bus [ns].
         booted: buses and node-IDs of the devices that have booted.
+        has_news: True if `next_deadline_ns` may return another time than before.
     """
 
     def __init__(
@@ -160,6 +205,7 @@ class HostPlayer:
         self.silent: set[Subject] = set()
         self.pairs: list[tuple[int, int]] = []
         self.booted: set[tuple[str, int]] = set()
+        self.has_news = True
         self._steps = [step for step in steps if not step.is_free]
         free: dict[tuple[str, bytes], list[HostStep]] = {}
         for step in steps:
@@ -169,13 +215,10 @@ class HostPlayer:
         self._listener = listener
         self._speed = speed
         self._patience_ns = patience_ns
-        self._told: dict[Subject, list[Told]] = {}
-        self._seen: dict[Subject, int] = {}
-        self._in_vain: dict[Subject, int] = {}  # waits since the last report
+        self._reports: dict[Subject, _Reports] = {}
         self._anchor = (begin_ns, 0)  # the last known pair of recorded and live time
         self._lines = frozenset(lines)
         self._waiting_since_ns = 0
-        self._given_up: set[Subject] = set()  # subjects whose answers may still arrive late
         self._in_flight: list[HostStep] = []
         self._waits: deque[Told] = deque()
         self._is_started = False
@@ -219,6 +262,7 @@ class HostPlayer:
 
     def next_deadline_ns(self) -> int | None:
         """Return when `take` is due if nothing is heard before [ns]."""
+        self.has_news = False
         if self.is_over():
             return None
         due_ns = self._due_ns() if self._is_ready() else self._patient_until_ns()
@@ -255,8 +299,14 @@ class HostPlayer:
     # ------------------------------------------------------------------------------ inside
 
     def _has_reported(self, told: Told) -> None:
-        self._told.setdefault(told.subject, []).append(told)
-        self._in_vain.pop(told.subject, None)
+        self.has_news = True
+        self._about(told.subject).add(told)
+
+    def _about(self, subject: Subject) -> _Reports:
+        found = self._reports.get(subject)
+        if found is None:
+            found = self._reports[subject] = _Reports()
+        return found
 
     def _begin(self) -> None:
         """Set up the observations that the next step waits for."""
@@ -265,6 +315,7 @@ class HostPlayer:
 
     def _is_out(self, step: HostStep, now_ns: int) -> None:
         """Note that a frame of the host has been on its bus."""
+        self.has_news = True
         self.pairs.append((step.end_ns, now_ns))
         self._know(step.end_ns, now_ns)
 
@@ -276,36 +327,33 @@ class HostPlayer:
 
     def _has_come(self, awaited: Told) -> bool:
         """Return True if the observation came after those awaited before, and pass over it."""
-        heard = self._told.get(awaited.subject, [])
-        for place in range(self._seen.get(awaited.subject, 0), len(heard)):
-            if heard[place].value == awaited.value:
-                self._seen[awaited.subject] = place + 1
-                self._know(awaited.time_ns, heard[place].time_ns)
-                return True
-        return False
+        time_ns = self._about(awaited.subject).pass_over(awaited.value)
+        if time_ns is None:
+            return False
+        self._know(awaited.time_ns, time_ns)
+        return True
 
     def _patient_until_ns(self) -> int:
         """Return when this step stops waiting [ns]; its recorded wait may be minutes (homing)."""
         recorded_ns, live_ns = self._anchor
         awaited = self._waits[0]
         until_ns = live_ns + round((awaited.time_ns - recorded_ns) / self._speed)
-        if self._in_vain.get(awaited.subject, 0) >= IN_VAIN_MAX:
+        if self._about(awaited.subject).in_vain >= IN_VAIN_MAX:
             return until_ns
         return max(self._waiting_since_ns, until_ns) + self._patience_ns
 
     def _give_up(self, now_ns: int) -> None:
         """Give up the observation that this step waits for."""
         awaited = self._waits.popleft()
-        heard = self._told.get(awaited.subject, [])
-        waits = self._in_vain.get(awaited.subject, 0)
-        self._in_vain[awaited.subject] = waits + 1
-        if waits >= IN_VAIN_MAX:
+        heard = self._about(awaited.subject)
+        if heard.in_vain >= IN_VAIN_MAX:
             self.silent.add(awaited.subject)
+        heard.in_vain += 1
         if awaited.subject[2] == ANSWER:
             instead = "no answer"
-            self._given_up.add(awaited.subject)
-        elif heard:
-            instead = f"last told: {heard[-1].text}"
+            heard.is_given_up = True
+        elif heard.last is not None:
+            instead = f"last told: {heard.last.text}"
         else:
             instead = "no report received"
         self.missed.append(Missed(now_ns, awaited, self._steps[self.sent], instead))
@@ -317,12 +365,9 @@ class HostPlayer:
         can_id = int.from_bytes(step.frame[:4], "little")
         if step.bus in self._lines or can_id >> 7 != _SDO_REQUEST:
             return  # lines may have several requests to one unit in progress
-        subject = (step.bus, can_id & 0x7F, ANSWER)
-        if subject in self._given_up and len(self._told.get(subject, [])) > self._seen.get(
-            subject, 0
-        ):
-            self._seen[subject] = len(self._told[subject])
-            self._given_up.discard(subject)
+        answers = self._about((step.bus, can_id & 0x7F, ANSWER))
+        if answers.is_given_up and answers.forget():
+            answers.is_given_up = False
 
     def _forget_before_reset(self, step: HostStep) -> None:
         """Discard all reports of nodes that the host resets now."""
@@ -330,9 +375,9 @@ class HostPlayer:
             return
         command, node = step.frame[8:10]
         if command in _RESETS:
-            for subject, heard in self._told.items():
+            for subject, heard in self._reports.items():
                 if subject[0] == step.bus and node in (0, subject[1]):
-                    self._seen[subject] = len(heard)
+                    heard.forget()
 
     def _know(self, recorded_ns: int, live_ns: int) -> None:
         """Set the pair of recorded and live time from which pauses are counted."""
@@ -765,7 +810,7 @@ def _listed(nodes: Iterable[tuple[str, int]]) -> str:
 
 
 def _changed(player: HostPlayer, due_ns: int) -> Callable[[], bool]:
-    return lambda: player.next_deadline_ns() != due_ns
+    return lambda: player.has_news and player.next_deadline_ns() != due_ns
 
 
 @final

@@ -480,7 +480,7 @@ class CanBus:
             return
         said = self._decoder.decode(frame)
         message = self._message(frame)
-        self._tell(time_ns, said if message is None else replace(said, text=str(message)))
+        self._tell(time_ns, said if message is None else replace(said, words=str(message)))
 
     def end(self, end_ns: int) -> None:
         """Examine the heartbeats up to the end of the recording."""

@@ -82,6 +82,7 @@ def start_recording(
     seed: int,
     world: "World",
     before: Iterable[tuple[int, str, str, str]],
+    truths: bool = True,
 ) -> Recorder:
     """Start to record everything that happens in the world to `target`.
 
@@ -91,6 +92,7 @@ def start_recording(
         seed: seed of the run.
         world: all buses and controllers.
         before: (time [ns], level, source, text) of events that have already happened.
+        truths: True to record the true states of controllers as well.
 
     Raises:
         TraceError: the file cannot be written.
@@ -115,7 +117,8 @@ def start_recording(
         world.tap_events(recorder.event)
         owners = OwnershipTap(LockWriter(recorder, world), MotorNames(description))
         world.tap_ownership(owners.heard)
-        world.tap_samples(PERIOD_NS, recorder.truth)
+        if truths:
+            world.tap_samples(PERIOD_NS, recorder.truth)
     except TraceError:
         writer.close()
         raise

@@ -489,6 +489,7 @@ class Rig:
         description: the contents of the rig file.
         seed, realtime, record: as for `open`.
         doubts: whether implausible values are noted, which costs a sixth of the opening.
+        truths: whether a recording has the true states of controllers.
 
     Attributes (read only):
         description: the contents of the rig file.
@@ -510,6 +511,7 @@ class Rig:
         realtime: bool = False,
         record: Path | None = None,
         doubts: bool = True,
+        truths: bool = True,
     ) -> None:
         self.description = description
         self.seed: int = description.seed if seed is None else seed
@@ -531,7 +533,7 @@ class Rig:
                 self._doubt(started)
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
-                self._record(record, started, cleanup)
+                self._record(record, started, truths, cleanup)
             self.runtime: VirtualRuntime = VirtualRuntime(queue, WallPace() if realtime else None)
             cleanup.enter_context(interrupts_between_events(self.runtime))
             self._open_door(cleanup)
@@ -709,7 +711,11 @@ class Rig:
                 started.append((0, str(path[1]), "warning", one.text))
 
     def _record(
-        self, target: Path, started: list[tuple[int, str, str, str]], cleanup: ExitStack
+        self,
+        target: Path,
+        started: list[tuple[int, str, str, str]],
+        truths: bool,
+        cleanup: ExitStack,
     ) -> None:
         from motorhil.harness.rig.recording import end_recording, start_recording
         from motorhil.traces.errors import TraceError
@@ -719,7 +725,8 @@ class Rig:
             if isinstance(source, str):
                 refuse_source(self.description.folder / source, target)
         try:
-            recorder = start_recording(target, self.description, self.seed, self.world, started)
+            about = self.description, self.seed, self.world
+            recorder = start_recording(target, *about, started, truths)
         except TraceError as error:
             raise RigError(error.path, error.what, error.remedy) from None
         self.recording = recorder

@@ -22,6 +22,7 @@ operation. Only the latter ownership is reported.
 
 import os
 import struct
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -180,12 +181,12 @@ def _tenure_of(
     tenures: Sequence[Tenure], frame: BusFrame, late_ns: int
 ) -> tuple[str, Tenure | None]:
     """Return the relation of the frame's sender to the motor, and the owner's tenure."""
-    owner = next((one for one in reversed(tenures) if one.has(frame.time_ns)), None)
-    if owner is None:
+    after = bisect_right(tenures, frame.time_ns, key=_start_of)  # no two overlap
+    owner = tenures[after - 1] if after else None
+    if owner is None or not owner.has(frame.time_ns):
         return "free", None
     if not owner.sender or owner.sender == frame.sender:
         return "own", owner
-    after = tenures.index(owner) + 1
     is_next = after < len(tenures) and tenures[after].sender == frame.sender
     gave_back = owner.ended is Ended.RELEASED and not owner.crossed_ns
     if is_next and not gave_back and frame.can_id & ~_NODE not in _RPDO:
@@ -196,6 +197,10 @@ def _tenure_of(
         if 0 <= frame.time_ns - tenure.to_ns <= late_ns:
             return "late", tenure
     return "foreign", owner
+
+
+def _start_of(tenure: Tenure) -> int:
+    return tenure.from_ns
 
 
 def read_evidence(

@@ -10,6 +10,8 @@ codes, PDO); CiA 402-2 for the emergencies of drives.
 
 import struct
 from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from itertools import chain
 from typing import Final, NamedTuple, final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR
@@ -235,7 +237,7 @@ class _Node:
 class _Mapped:
     """An object in a PDO: its place in the data, and how to read it."""
 
-    __slots__ = ("at", "end", "is_motion", "is_whole", "known", "mask", "sign", "size")
+    __slots__ = ("at", "end", "is_motion", "is_whole", "known", "mask", "sign", "size", "words")
 
     def __init__(self, known: _Object, at: int, bits: int, told_to: bool) -> None:
         kind = known.name.kind
@@ -250,6 +252,7 @@ class _Mapped:
         self.is_whole = is_usual or (not kind and 0 < bits <= 32)
         # A set-point by SDO is an ordinary command; a stream of set-points is motion.
         self.is_motion = known.is_motion and (not told_to or known.first in SETPOINTS)
+        self.words = partial(value_text, kind, self.size)
 
 
 @final
@@ -308,7 +311,12 @@ class CanopenDecoder:
         node, function = identifier & 0x7F, identifier >> 7
         if identifier == 0:
             return self._nmt(data)
-        pdos = self._pdos_of(identifier)
+        if self._pdos_version != self.maps.version:
+            self._pdos.clear()
+            self._pdos_version = self.maps.version
+        pdos = self._pdos.get(identifier)
+        if pdos is None:
+            pdos = self._pdos[identifier] = self._pdos_of(identifier)
         if pdos:  # a PDO has its own identifier, wherever that is
             return self._pdo(pdos, data)
         if len(data) < 2 and self.maps.is_sync(identifier):
@@ -413,54 +421,27 @@ class CanopenDecoder:
             return DecodedEvent(
                 kind, number, f"{node.name} SDO, not understood: {data.hex(' ').upper()}"
             )
+        known, subject = None, "an object (the beginning was not recorded)"
+        if step.index is not None and step.subindex is not None:
+            known = node.object(step.index, step.subindex)
+            subject = known.subject
         facts: tuple[Fact, ...] = ()
-        if step.whole is not None and step.index is not None and step.subindex is not None:
-            facts = self._object(number, step.index, step.subindex, step.whole, not step.upload)
+        told: Fact | None = None
+        if known is not None and step.whole is not None:
+            told = _fact(node, known, step.whole, not step.upload)
+            facts = (told,)
+            if known.teaches and isinstance(told.value, int):
+                self._learn(number, node, known, told.value, told.told_to)
         elif step.step is Step.ABORT:
             what = "read" if step.upload else "write"
-            subject = f"{what} of {place_text(step.index or 0, step.subindex or 0)} aborted"
-            told = abort_text(step.abort_code)
-            facts = (Fact(subject, step.abort_code, told, told_to=not from_server),)
-        text = self._sdo_text(node, step, from_server)
-        return DecodedEvent(kind, number, text, facts, step.index, step.subindex)
-
-    def _sdo_text(self, node: _Node, step: SdoStep, from_server: bool) -> str:
-        if step.index is None or step.subindex is None:
-            what = "an object (the beginning was not recorded)"
-            known = node.object(0, 0)
-        else:
-            known = node.object(step.index, step.subindex)
-            what = known.subject
+            place = place_text(step.index or 0, step.subindex or 0)
+            code = step.abort_code
+            facts = (Fact(f"{what} of {place} aborted", code, abort_text(code), not from_server),)
+        elif known is not None and step.step is Step.DOWNLOAD:
+            told = _fact(node, known, step.data, told_to=True)
         who = f"SDO {node.name}" if from_server else f"SDO to {node.name}"
-        if step.step is Step.ABORT:
-            return f"{who}: abort of {what}: {abort_text(step.abort_code)} ({step.abort_code:08X}h)"
-        value = ""
-        if step.step in (Step.UPLOADED, Step.DOWNLOAD) and step.index is not None:
-            value = " = " + _value_text(
-                node, known, len(step.data), value_of(known.name.kind, step.data)
-            )
-        elif step.data:
-            value = f": {step.data.hex(' ').upper()}"
-        if step.step is Step.SEGMENT_UPLOADED and step.whole is not None and step.index:
-            whole = value_of(known.name.kind, step.whole)
-            value += "; whole = " + _value_text(node, known, len(step.whole), whole)
-        size = "" if step.size is None else f", {step.size} bytes"
-        word = {Step.ASK_UPLOAD: "read", Step.DOWNLOAD: "write", Step.UPLOADED: ""}.get(
-            step.step, step.step.value
-        )
-        return f"{who}: {f'{word} {what}'.strip()}{value}{size}"
-
-    def _object(
-        self, number: int, index: int, subindex: int, data: bytes, told_to: bool
-    ) -> tuple[Fact, ...]:
-        """Return the facts of an object's value, and learn from it."""
-        node = self._node(number)
-        known = node.object(index, subindex)
-        value = value_of(known.name.kind, data)
-        text = _value_text(node, known, len(data), value)
-        if known.teaches and isinstance(value, int):
-            self._learn(number, node, known, value, told_to)
-        return (Fact(known.subject, value, text, told_to, known.is_motion and not told_to),)
+        words = partial(_sdo_text, who, subject, step, told)
+        return DecodedEvent(kind, number, words, facts, step.index, step.subindex)
 
     def _learn(self, number: int, node: _Node, known: _Object, value: int, told_to: bool) -> None:
         """Learn from the value of an object."""
@@ -478,50 +459,33 @@ class CanopenDecoder:
 
     def _pdos_of(self, identifier: int) -> list[_Pdo]:
         """Return the PDOs with this identifier: a TPDO, or the RPDOs of all receivers."""
-        if self._pdos_version != self.maps.version:
-            self._pdos.clear()
-            self._pdos_version = self.maps.version
-        found = self._pdos.get(identifier)
-        if found is None:
-            keys = self.maps.of(identifier)
-            transmitted = bool(keys) and keys[0][1]
-            found = [
-                _Pdo(key, transmitted, self._node(key[0]), self.maps.objects(key))
-                for key in (keys[:1] if transmitted else keys)
-            ]
-            self._pdos[identifier] = found
-        return found
+        keys = self.maps.of(identifier)
+        transmitted = bool(keys) and keys[0][1]
+        return [
+            _Pdo(key, transmitted, self._node(key[0]), self.maps.objects(key))
+            for key in (keys[:1] if transmitted else keys)
+        ]
 
     def _pdo(self, pdos: list[_Pdo], data: bytes) -> DecodedEvent:
         number, transmitted, _ = pdos[0].key
-        sentences: list[str] = []
-        facts: list[Fact] = []
-        for pdo in pdos:
-            if pdo.parts is None:
-                told = data.hex(" ").upper() or "no data"
-                subject = f"{'T' if transmitted else 'R'}PDO {pdo.key[2]}"
-                facts.append(Fact(subject, data, told, told_to=not transmitted))
-                sentences.append(f"{pdo.what}: {told} (its mapping is not in the recording)")
-                continue
-            values = self._mapped(pdo.key[0], pdo.node, pdo.parts, data, not transmitted)
-            told = ", ".join([f"{fact.subject} = {fact.text}" for fact in values])
-            sentences.append(f"{pdo.what}: {told}")
-            facts += values
-        return DecodedEvent(
-            Kind.TPDO if transmitted else Kind.RPDO,
-            number if len(pdos) == 1 else None,
-            "; ".join(sentences),
-            tuple(facts),
-        )
+        kind = Kind.TPDO if transmitted else Kind.RPDO
+        told = [self._facts(pdo, data, not transmitted) for pdo in pdos]
+        words = partial(_pdo_text, pdos, told)
+        if len(told) == 1:
+            return DecodedEvent(kind, number, words, tuple(told[0]))
+        return DecodedEvent(kind, None, words, tuple(chain.from_iterable(told)))
 
-    def _mapped(
-        self, number: int, node: _Node, parts: list[_Mapped], data: bytes, told_to: bool
-    ) -> list[Fact]:
+    def _facts(self, pdo: _Pdo, data: bytes, told_to: bool) -> list[Fact]:
+        """Return the facts of a PDO, and learn from it."""
+        if pdo.parts is None:
+            subject = f"{'R' if told_to else 'T'}PDO {pdo.key[2]}"
+            return [Fact(subject, data, _data_text, told_to)]
         facts: list[Fact] = []
-        raw = int.from_bytes(data, "little")
-        for part in parts:
+        node = pdo.node
+        raw, size = int.from_bytes(data, "little"), 8 * len(data)
+        for part in pdo.parts:
             known = part.known
-            if part.end > 8 * len(data):
+            if part.end > size:
                 missing = "missing: the PDO is too short"
                 facts.append(Fact(place_text(*known.place), b"", missing, told_to))
                 break
@@ -531,26 +495,76 @@ class CanopenDecoder:
             value: Value = whole - 2 * (whole & part.sign)
             if not part.is_whole:
                 value = value_of(known.name.kind, whole.to_bytes(part.size, "little"))
-            text = _value_text(node, known, part.size, value)
-            facts.append(Fact(known.subject, value, text, told_to, part.is_motion))
+            words: str | Callable[[Value], str] = part.words
+            if known.words is not None and isinstance(value, int):
+                words = known.words(node, known.axis, value)
+            facts.append(Fact(known.subject, value, words, told_to, part.is_motion))
             if known.teaches and isinstance(value, int):
-                self._learn(number, node, known, value, told_to)
+                self._learn(pdo.key[0], node, known, value, told_to)
         return facts
 
 
-def _value_text(node: _Node, known: _Object, size: int, value: Value) -> str:
+def _pdo_text(pdos: list[_Pdo], told: list[list[Fact]]) -> str:
+    """Return the facts of each PDO as a sentence."""
+    sentences: list[str] = []
+    for pdo, facts in zip(pdos, told, strict=True):
+        if pdo.parts is None:
+            words = f"{facts[0].text} (its mapping is not in the recording)"
+        else:
+            words = ", ".join([f"{fact.subject} = {fact.text}" for fact in facts])
+        sentences.append(f"{pdo.what}: {words}")
+    return "; ".join(sentences)
+
+
+def _data_text(data: Value) -> str:
+    assert isinstance(data, bytes)
+    return data.hex(" ").upper() or "no data"
+
+
+def _fact(node: _Node, known: _Object, data: bytes, told_to: bool) -> Fact:
+    """Return the value of an object, read or written by SDO."""
+    value = value_of(known.name.kind, data)
+    words: str | Callable[[Value], str] = partial(value_text, known.name.kind, len(data))
     if known.words is not None and isinstance(value, int):
-        return known.words(node, known.axis, value)
-    return value_text(known.name.kind, size, value)
+        words = known.words(node, known.axis, value)
+    return Fact(known.subject, value, words, told_to, known.is_motion and not told_to)
+
+
+def _sdo_text(who: str, subject: str, step: SdoStep, told: Fact | None) -> str:
+    """Return a frame of a transfer as a sentence; `told` is the value in it, if it is known."""
+    if step.step is Step.ABORT:
+        code = step.abort_code
+        return f"{who}: abort of {subject}: {abort_text(code)} ({code:08X}h)"
+    value = ""
+    if step.step in (Step.UPLOADED, Step.DOWNLOAD) and told is not None:
+        value = f" = {told.text}"
+    elif step.data:
+        value = f": {step.data.hex(' ').upper()}"
+    if step.step is Step.SEGMENT_UPLOADED and told is not None and step.index:
+        value += f"; whole = {told.text}"
+    size = "" if step.size is None else f", {step.size} bytes"
+    word = {Step.ASK_UPLOAD: "read", Step.DOWNLOAD: "write", Step.UPLOADED: ""}.get(
+        step.step, step.step.value
+    )
+    return f"{who}: {f'{word} {subject}'.strip()}{value}{size}"
 
 
 def _controlword(node: _Node, axis: int, value: int) -> str:
-    words = controlword_text(value, node.modes.get(axis, 0), node.controlwords.get(axis))
-    return f"{value:04X}h {words}"
+    return _controlword_in(value, node.modes.get(axis, 0), node.controlwords.get(axis))
 
 
 def _statusword(node: _Node, axis: int, value: int) -> str:
-    return f"{value:04X}h {statusword_text(value, node.modes.get(axis, 0))}"
+    return _statusword_in(value, node.modes.get(axis, 0))
+
+
+@lru_cache(1024)
+def _controlword_in(value: int, mode: int, before: int | None) -> str:
+    return f"{value:04X}h {controlword_text(value, mode, before)}"
+
+
+@lru_cache(1024)
+def _statusword_in(value: int, mode: int) -> str:
+    return f"{value:04X}h {statusword_text(value, mode)}"
 
 
 def _mode(node: _Node, axis: int, value: int) -> str:
@@ -585,9 +599,13 @@ def _flexible(identifier: int, data: bytes, can_id: int, flags: int) -> DecodedE
     """Decode a CAN FD frame, which belongs to no classical CANopen service."""
     what = f"{_foreign(identifier, can_id)} CAN FD"
     marks = "".join(f" {name}" for bit, name in ((1, "BRS"), (2, "ESI")) if flags & bit)
-    told = data.hex(" ").upper() or "no data"
-    text = f"{what}{marks}, {len(data)} bytes: {told}"
-    return DecodedEvent(Kind.OTHER, None, text, (Fact(what, data, told),))
+    fact = Fact(what, data, _data_text)
+    return DecodedEvent(Kind.OTHER, None, partial(_flexible_text, fact, marks), (fact,))
+
+
+def _flexible_text(fact: Fact, marks: str) -> str:
+    assert isinstance(fact.value, bytes)
+    return f"{fact.subject}{marks}, {len(fact.value)} bytes: {fact.text}"
 
 
 def _foreign(identifier: int, can_id: int) -> str:
@@ -598,8 +616,12 @@ def _other(identifier: int, data: bytes, can_id: int) -> DecodedEvent:
     what = _foreign(identifier, can_id)
     if can_id & RTR:
         return DecodedEvent(Kind.OTHER, None, f"{what} remote frame")
-    told = data.hex(" ").upper() or "no data"
-    return DecodedEvent(Kind.OTHER, None, f"{what}: {told}", (Fact(what, data, told),))
+    fact = Fact(what, data, _data_text)
+    return DecodedEvent(Kind.OTHER, None, partial(_other_text, fact), (fact,))
+
+
+def _other_text(fact: Fact) -> str:
+    return f"{fact.subject}: {fact.text}"
 
 
 def usual_name(identifier: int, nodes: Mapping[int, str]) -> str:

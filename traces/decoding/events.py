@@ -1,8 +1,12 @@
-"""Decoded frames and ADUs: a sentence, and facts for comparison."""
+"""Decoded frames and ADUs: a sentence, and facts for comparison.
 
+Most sentences are never read, so words that cost more than the fact itself are made when they are.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 Value = int | float | str | bytes
 
@@ -41,33 +45,40 @@ it is not a node.
 
 
 @final
-class Fact(NamedTuple):
-    """One known fact about a node.
+@dataclass(slots=True)  # not frozen: making a frozen one takes four times as long
+class Fact:
+    """One known fact about a node. Nobody changes it.
 
     Attributes:
         subject: the subject ("6041h", "NMT state", "register 6002h").
         value: the value as a number, text or bytes.
-        text: the value in words.
+        words: the value in words, or the function that returns them.
         told_to: True for a command to the node, False for a report by it.
         motion: True for a measured or demanded quantity, which varies from run to run.
     """
 
     subject: str
     value: Value
-    text: str
+    words: str | Callable[[Value], str]
     told_to: bool = False
     motion: bool = False
 
+    @property
+    def text(self) -> str:
+        """The value in words."""
+        words = self.words
+        return words if isinstance(words, str) else words(self.value)
+
 
 @final
-@dataclass(slots=True)  # not frozen: making a frozen one takes four times as long
+@dataclass(slots=True)  # as above
 class DecodedEvent:
     """The decoded content of a frame. Nobody changes it.
 
     Attributes:
         kind: its purpose.
         node: its source or destination; None: none, or all nodes.
-        text: a sentence.
+        words: a sentence, or the function that returns it.
         facts: the resulting facts; for a transfer in several frames, when it is complete.
         index: of the object of an SDO; None: none, or unknown.
         subindex: of the same object.
@@ -75,7 +86,16 @@ class DecodedEvent:
 
     kind: Kind
     node: int | None
-    text: str
+    words: str | Callable[[], str]
     facts: tuple[Fact, ...] = ()
     index: int | None = None
     subindex: int | None = None
+
+    @property
+    def text(self) -> str:
+        """The content as a sentence."""
+        words = self.words
+        return words if isinstance(words, str) else words()
+
+    def __str__(self) -> str:
+        return self.text

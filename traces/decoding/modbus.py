@@ -9,11 +9,13 @@ Source: MODBUS Application Protocol Specification V1.1b3, sections 6 (function c
 (exception codes); igus, Operating Manual dryve D1 V2.4, pages 104 to 110 (MEI type 13).
 """
 
+import struct
 from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
 from typing import Final, final
 
 from motorhil.traces.decoding.cia402 import controlword_text, mode_text, statusword_text
-from motorhil.traces.decoding.events import DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.events import DecodedEvent, Fact, Kind, Value
 from motorhil.traces.decoding.objects import standard_name, value_of, value_text
 from motorhil.traces.formats.modbus import Adu, can_answer
 from motorhil.traces.formats.tcp import Way
@@ -57,12 +59,15 @@ class ModbusDecoder:
 
     def __init__(self, unit_names: Mapping[int, str] | None = None) -> None:
         """Create a decoder with the names of units."""
-        self._names = dict(unit_names or {})
+        self._names: dict[int, str] = {}
+        for unit, name in (unit_names or {}).items():
+            self.call(unit, name)
         self._pending: dict[tuple[Way | None, int], Adu] = {}
 
     def call(self, unit: int, name: str) -> None:
         """Set the name of a unit that has none yet."""
-        self._names.setdefault(unit, name)
+        if unit not in self._names:
+            self._names[unit] = f"{name} (unit {unit})"
 
     def forget_requests(self) -> None:
         """Abandon all pending requests, because ADUs are missing from here on."""
@@ -72,33 +77,45 @@ class ModbusDecoder:
         """Decode an ADU: a request, or a response together with its request."""
         way = adu.way if adu.to_server or adu.way is None else adu.way.back
         key = (way, adu.transaction)
+        name = self._names.get(adu.unit)
+        if name is None:
+            name = f"unit {adu.unit}"
         if adu.to_server:
             self._pending[key] = adu
             broadcast = adu.unit == 0 and adu.way is None  # a broadcast is not answered
             facts = _written(adu.pdu, adu.pdu) if broadcast else ()
-            text = f"Modbus to {self._name(adu.unit)}: {_request_text(adu.pdu)}"
-            return DecodedEvent(Kind.MODBUS_REQUEST, adu.unit, text, facts)
+            words = partial(_asked, name, adu.pdu)
+            return DecodedEvent(Kind.MODBUS_REQUEST, adu.unit, words, facts)
         request = self._pending.get(key)
-        name = self._name(adu.unit)
         if request is None or not can_answer(request, adu):
             text = f"Modbus {name}: response without a request: {_hex(adu.pdu)}"
             return DecodedEvent(Kind.MODBUS_RESPONSE, adu.unit, text)
         del self._pending[key]
-        late = f" (after {(adu.time_ns - request.time_ns) / 1e9 * 1e3:.3f} ms)"
+        late_ns = adu.time_ns - request.time_ns
         if adu.is_exception:
             code = adu.pdu[1] if len(adu.pdu) > 1 else 0
-            words = EXCEPTIONS.get(code, "a non-standard code")
+            told = f"exception {code}, {EXCEPTIONS.get(code, 'a non-standard code')}"
             asked_for = _request_text(request.pdu)
-            text = f"Modbus {name}: refuses {asked_for}: exception {code}, {words}{late}"
-            facts = (Fact(f"{asked_for} refused", code, f"exception {code}, {words}"),)
+            text = f"Modbus {name}: refuses {asked_for}: {told}{_late(late_ns)}"
+            facts = (Fact(f"{asked_for} refused", code, told),)
             return DecodedEvent(Kind.MODBUS_RESPONSE, adu.unit, text, facts)
         facts = _read(request.pdu, adu.pdu) + _written(request.pdu, adu.pdu)
-        text = f"Modbus {name}: {_response_text(request.pdu, adu.pdu, facts)}{late}"
-        return DecodedEvent(Kind.MODBUS_RESPONSE, adu.unit, text, facts)
+        words = partial(_answered, name, request.pdu, adu.pdu, facts, late_ns)
+        return DecodedEvent(Kind.MODBUS_RESPONSE, adu.unit, words, facts)
 
-    def _name(self, unit: int) -> str:
-        name = self._names.get(unit)
-        return f"unit {unit}" if name is None else f"{name} (unit {unit})"
+
+def _asked(name: str, pdu: bytes) -> str:
+    return f"Modbus to {name}: {_request_text(pdu)}"
+
+
+def _answered(
+    name: str, request: bytes, response: bytes, facts: tuple[Fact, ...], late_ns: int
+) -> str:
+    return f"Modbus {name}: {_response_text(request, response, facts)}{_late(late_ns)}"
+
+
+def _late(late_ns: int) -> str:
+    return f" (after {late_ns / 1e9 * 1e3:.3f} ms)"
 
 
 def _request_text(pdu: bytes) -> str:
@@ -146,8 +163,7 @@ def _read(request: bytes, response: bytes) -> tuple[Fact, ...]:
     start, count, data = _u16(request, 1), _u16(request, 3), response[2:]
     if function in (3, 4, 23) and len(data) == 2 * count:
         name = "input register" if function == 4 else "register"
-        values = [_u16(data, 2 * number) for number in range(count)]
-        return tuple(_fact(name, start + n, value, False) for n, value in enumerate(values))
+        return _registers(name, start, data, False)
     if function in (1, 2) and len(data) == (count + 7) // 8:
         bits = [data[number // 8] >> number % 8 & 1 for number in range(count)]
         return tuple(_fact(_READS[function], start + n, bit, False) for n, bit in enumerate(bits))
@@ -173,14 +189,32 @@ def _written(request: bytes, response: bytes) -> tuple[Fact, ...]:
         bits = [data[number // 8] >> number % 8 & 1 for number in range(count)]
         return tuple(_fact("coil", start + n, bit, True) for n, bit in enumerate(bits))
     if function != 15 and len(data) == 2 * count:
-        values = [_u16(data, 2 * number) for number in range(count)]
-        return tuple(_fact("register", start + n, value, True) for n, value in enumerate(values))
+        return _registers("register", start, data, True)
     return ()
 
 
+def _registers(name: str, start: int, data: bytes, told_to: bool) -> tuple[Fact, ...]:
+    values = struct.unpack(f">{len(data) // 2}H", data)
+    return tuple([_fact(name, start + n, value, told_to) for n, value in enumerate(values)])
+
+
 def _fact(name: str, address: int, value: int, told_to: bool) -> Fact:
-    text = f"{value:04X}h" if "register" in name else ("on" if value else "off")
-    return Fact(f"{name} {address:04X}h", value, text, told_to)
+    words = _register_text if "register" in name else _coil_text
+    return Fact(_place(name, address), value, words, told_to)
+
+
+@lru_cache(4096)
+def _place(name: str, address: int) -> str:
+    return f"{name} {address:04X}h"
+
+
+def _register_text(value: Value) -> str:
+    assert isinstance(value, int)
+    return f"{value:04X}h"
+
+
+def _coil_text(value: Value) -> str:
+    return "on" if value else "off"
 
 
 def _object_name(pdu: bytes) -> str:

@@ -7,7 +7,8 @@ follows. So only a few messages need to be decoded.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from functools import partial
+from typing import Final, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
@@ -17,7 +18,7 @@ from motorhil.traces.formats.modbus import Malformed, recorded_adu
 from motorhil.traces.layout import Signal
 from motorhil.traces.mcap.reader import Trace, TraceMessage
 from motorhil.traces.mcap.records import Channel
-from motorhil.traces.protobuf import Value, decode
+from motorhil.traces.protobuf import Message, Value, decode
 from motorhil.traces.schema import (
     CAN_FRAME,
     GROUP_SYNC,
@@ -99,32 +100,38 @@ def _shown(value: int | float | str) -> str:
 
 
 @final
-class Line(NamedTuple):
-    """One message of a recording in words.
+@dataclass(slots=True)  # not frozen: making a frozen one takes four times as long
+class Line:
+    """One message of a recording in words. Nobody changes it.
 
     Attributes:
         time_ns: log time.
         topic: of the message.
         place: the name in the topic: the bus, line, motor or group; "events".
-        text: a sentence.
+        told: a sentence, or what gives it.
         said: the decoded content; None: not traffic.
         identifier: of a CAN frame; else None.
         direction: of a CAN frame, if recorded.
         names: names of the motors and controllers concerned.
         values: the message's own fields; none for a CAN frame.
-        message: the message by another description; `text` is then its own.
+        message: the message by another description, which then gives the sentence.
     """
 
     time_ns: int
     topic: str
     place: str
-    text: str
+    told: str | DecodedEvent | BusMessage
     said: DecodedEvent | None = None
     identifier: int | None = None
     names: tuple[str, ...] = ()
     values: tuple[tuple[str, Value], ...] = ()
     direction: Direction = Direction.UNKNOWN
     message: BusMessage | None = None
+
+    @property
+    def text(self) -> str:
+        """The message as a sentence."""
+        return str(self.told)
 
     @property
     def node(self) -> int | None:
@@ -159,7 +166,7 @@ class Story:
         self._lines: dict[str, ModbusDecoder] = {}
         self._decode_frame = FrameDecoder().decode
         self._motors = {place: name for name, place in self.names.motors.items()}
-        self._channels: dict[int, tuple[Channel, str, str]] = {}  # with schema and place
+        self._channels: dict[int, tuple[Channel, _Tell | None]] = {}
 
     def lines(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[Line]:
         """Yield the messages of a span in words, without motion and plants (which need plots).
@@ -194,33 +201,35 @@ class Story:
     def line(self, message: TraceMessage) -> Line | None:
         """Return one message in words; None for a kind that is not described."""
         channel, time_ns, payload = message
-        topic = channel.topic
         known = self._channels.get(channel.number)
         if known is None or known[0] is not channel:
-            parts = topic.strip("/").split("/")
-            place = parts[1] if len(parts) > 1 else parts[0]
-            schema = channel.schema.name if channel.schema is not None else ""
-            known = self._channels[channel.number] = channel, schema, place
-        _, schema, place = known
+            known = self._channels[channel.number] = channel, self._teller(channel)
+        tell = known[1]
+        if tell is None:
+            return None
         try:
-            if schema == CAN_FRAME.name:
-                return self._can(time_ns, topic, place, payload)
-            if schema == MODBUS_ADU.name:
-                return self._modbus(time_ns, topic, place, decode(MODBUS_ADU, payload))
-            if schema == SERIAL_DATA.name:
-                return self._serial(time_ns, topic, place, decode(SERIAL_DATA, payload))
-            if schema in _PLAIN:
-                table, tell = _PLAIN[schema]
-                fields = decode(table, payload)
-                text, names = tell(place, fields)
-                return Line(
-                    *(time_ns, topic, place, text),
-                    names=names,
-                    values=tuple(fields.items()),
-                )
+            return tell(time_ns, payload)
         except ValueError as error:
-            return Line(time_ns, topic, place, f"unreadable message: {error}")
-        return None
+            text = f"unreadable message: {error}"
+            return Line(time_ns, channel.topic, _place(channel.topic), text)
+
+    def _teller(self, channel: Channel) -> "_Tell | None":
+        """Return the function that describes messages of a channel; None: nothing does."""
+        topic, place = channel.topic, _place(channel.topic)
+        schema = channel.schema.name if channel.schema is not None else ""
+        if schema == CAN_FRAME.name:
+            if place not in self._buses:
+                nodes = {n: name for (b, n), name in self.names.nodes.items() if b == place}
+                self._buses[place] = CanopenDecoder(nodes, self.names.objects_on(place))
+            return partial(self._can, topic, place, self._buses[place])
+        if schema == MODBUS_ADU.name:
+            if place not in self._lines:
+                units = {n: name for (b, n), name in self.names.nodes.items() if b == place}
+                self._lines[place] = ModbusDecoder(units)
+            return partial(self._modbus, topic, place, self._lines[place])
+        if schema == SERIAL_DATA.name:
+            return partial(self._serial, topic, place)
+        return partial(_plain, topic, place, *_PLAIN[schema]) if schema in _PLAIN else None
 
     def _learn(self, from_ns: int) -> None:
         begins_ns, _ = self._trace.span_ns() or (0, 0)
@@ -232,27 +241,23 @@ class Story:
         for line in self._lines.values():
             line.forget_requests()
 
-    def _can(self, time_ns: int, topic: str, bus: str, payload: bytes) -> Line:
-        decoder = self._buses.get(bus)
-        if decoder is None:
-            nodes = {n: name for (b, n), name in self.names.nodes.items() if b == bus}
-            decoder = self._buses[bus] = CanopenDecoder(nodes, self.names.objects_on(bus))
+    def _can(
+        self, topic: str, bus: str, decoder: CanopenDecoder, time_ns: int, payload: bytes
+    ) -> Line:
         frame, direction, sender = self._decode_frame(payload)
         said = decoder.decode(frame, sender)
         identifier = None  # None for an error message: its bits are not an identifier
         if said.kind is not Kind.BUS_ERROR:
             identifier = int.from_bytes(frame[:4], "little") & _ID_MASK
         message = None if self._describe is None else self._describe(bus, frame)
-        text = said.text if message is None else str(message)
         node = said.node if message is None or message.node is None else message.node
-        about = self._about(bus, node)
-        return Line(time_ns, topic, bus, text, said, identifier, about, (), direction, message)
+        about, told = self._about(bus, node), said if message is None else message
+        return Line(time_ns, topic, bus, told, said, identifier, about, (), direction, message)
 
-    def _modbus(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
-        decoder = self._lines.get(name)
-        if decoder is None:
-            units = {n: c for (b, n), c in self.names.nodes.items() if b == name}
-            decoder = self._lines[name] = ModbusDecoder(units)
+    def _modbus(
+        self, topic: str, name: str, decoder: ModbusDecoder, time_ns: int, payload: bytes
+    ) -> Line:
+        fields = decode(MODBUS_ADU, payload)
         sender = str(fields.get("sender", ""))
         adu = recorded_adu(fields, time_ns)
         if isinstance(adu, Malformed):
@@ -262,9 +267,10 @@ class Story:
             decoder.call(adu.unit, sender)
             self.names.nodes.setdefault((name, adu.unit), sender)
         said = decoder.decode(adu)
-        return Line(time_ns, topic, name, said.text, said, None, self._about(name, said.node))
+        return Line(time_ns, topic, name, said, said, None, self._about(name, said.node))
 
-    def _serial(self, time_ns: int, topic: str, name: str, fields: dict[str, Value]) -> Line:
+    def _serial(self, topic: str, name: str, time_ns: int, payload: bytes) -> Line:
+        fields = decode(SERIAL_DATA, payload)
         data = fields.get("data", b"")
         assert isinstance(data, bytes)
         message = None if self._describe is None else self._describe(name, data)
@@ -283,6 +289,20 @@ class Story:
         if motor is None:
             return () if controller is None else (controller,)
         return (motor,) if controller in (None, motor) else (motor, controller)
+
+
+def _place(topic: str) -> str:
+    """Return the name in a topic: the bus, line, motor or group; "events"."""
+    parts = topic.strip("/").split("/")
+    return parts[1] if len(parts) > 1 else parts[0]
+
+
+def _plain(
+    topic: str, place: str, table: Message, words: "_Words", time_ns: int, payload: bytes
+) -> Line:
+    fields = decode(table, payload)
+    text, names = words(place, fields)
+    return Line(time_ns, topic, place, text, names=names, values=tuple(fields.items()))
 
 
 def _lock(motor: str, fields: dict[str, Value]) -> tuple[str, tuple[str, ...]]:
@@ -324,7 +344,11 @@ def _text(fields: dict[str, Value], name: str) -> str:
     return value if isinstance(value, str) else ""
 
 
-_PLAIN: Final = {
+_Tell = Callable[[int, bytes], Line]
+"""Returns a message in words: log time [ns], payload."""
+_Words = Callable[[str, dict[str, Value]], tuple[str, tuple[str, ...]]]
+"""Returns a sentence and the names in it: the name in the topic, the fields."""
+_PLAIN: Final[dict[str, tuple[Message, _Words]]] = {
     MOTOR_LOCK.name: (MOTOR_LOCK, _lock),
     GROUP_SYNC.name: (GROUP_SYNC, _sync),
     LOG.name: (LOG, _log),

@@ -18,6 +18,7 @@ mode-specific).
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final, NamedTuple, final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR
@@ -271,8 +272,7 @@ class Listener:
         for fact in said.facts:
             value: object = fact.value
             if said.kind is Kind.TPDO:
-                index = fact.subject[:4]
-                if axis_of(int(index, 16) if _is_hex(index) else 0)[1] != _STATUSWORD:
+                if not _is_statusword(fact.subject):
                     continue
                 value = int(fact.value) & STATUSWORD_MASK if isinstance(fact.value, int) else 0
             subject = (bus, said.node, fact.subject)
@@ -319,8 +319,8 @@ class HostCutter:
         self._place += 1
         is_remote = bool(int.from_bytes(frame[:4], "little") & RTR)
         if not self._side.sent(said, direction, is_remote):
-            told = self._listener.told(time_ns, bus, said)
-            self._told += [(self._place, one) for one in told]
+            for told in self._listener.told(time_ns, bus, said):
+                self._told.append((self._place, told))
         elif not int.from_bytes(frame[:4], "little") & ERR:
             try:
                 start_ns = time_ns - self._length_ns(bus, frame)
@@ -366,8 +366,12 @@ def _time_of(told: tuple[int, Told]) -> tuple[int, int]:
     return told[1].time_ns, told[0]
 
 
-def _is_hex(text: str) -> bool:
-    return len(text) == 4 and all(c in "0123456789ABCDEFabcdef" for c in text)
+@lru_cache(4096)
+def _is_statusword(subject: str) -> bool:
+    """Return True for the subject of a statusword of any axis."""
+    index = subject[:4]
+    is_hex = len(index) == 4 and all(c in "0123456789ABCDEFabcdef" for c in index)
+    return is_hex and axis_of(int(index, 16))[1] == _STATUSWORD
 
 
 @final

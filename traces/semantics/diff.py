@@ -279,8 +279,10 @@ def fidelity(first: Meaning, second: Meaning, tolerance: Tolerance) -> list[Obje
             found.append(_not_compared(key, labels[key], len(items), len(others)))
             continue
         mine, theirs = [item.what for item in items], [item.what for item in others]
-        blocks = SequenceMatcher(None, mine, theirs, autojunk=False).get_matching_blocks()
-        agreeing = sum(block.size for block in blocks)
+        agreeing = len(mine)
+        if mine != theirs:  # matching takes the square of their length
+            blocks = SequenceMatcher(None, mine, theirs, autojunk=False).get_matching_blocks()
+            agreeing = sum(block.size for block in blocks)
         found.append(ObjectFidelity(key, labels[key], len(items), len(others), agreeing))
     for key in {**first.motions, **second.motions}:
         series, other = first.motions.get(key), second.motions.get(key)

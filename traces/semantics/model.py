@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames
-from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Fact, Kind
+from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Kind, Value
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.errors import TraceError
@@ -23,7 +23,8 @@ Key = tuple[str, int | None, str]
 
 COMMANDS: Final = "commands"
 _ALWAYS: Final = ("emergency", "NMT command")
-"""Reports that count each time."""
+_ALWAYS_AT_END: Final = ("aborted", "refused")
+"""Reports that count each time: their subjects, or the ends of these."""
 _QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
 """Motion that is compared: positions and set-points, but not measured velocities and currents."""
 
@@ -69,7 +70,8 @@ class Meaning:
         self.messages = 0
         self.kept_bytes: int = 0
         self._shared: dict[tuple[object, ...], tuple[tuple[object, ...], str]] = {}
-        self._last: dict[tuple[Key, str], object] = {}
+        # By place, node, True for a command, and subject.
+        self._last: dict[tuple[str, int | None, bool, str], Value] = {}
 
     def take(self, line: Line, names: dict[tuple[str, int], str]) -> None:
         """Take a line of the story."""
@@ -85,42 +87,45 @@ class Meaning:
             key: Key = ("events", None, line.names[0] if line.names else "")
         else:
             key = (line.place, None, line.topic.rpartition("/")[2])
-        self.labels.setdefault(key, " ".join(str(part) for part in (key[0], key[2]) if part))
+        if key not in self.labels:
+            self.labels[key] = " ".join(str(part) for part in (key[0], key[2]) if part)
         self._add(key, line.time_ns, what or (line.text,), line.text)
 
     def take_state(self, time_ns: int, motor: str, position: float) -> None:
         """Take the position of a motor."""
         key: Key = (motor, None, "position")
-        self.labels.setdefault(key, f"motor {motor}, position")
+        if key not in self.labels:
+            self.labels[key] = f"motor {motor}, position"
         self._move(key, time_ns, position)
 
     def _take_said(self, line: Line, said: DecodedEvent, names: dict[tuple[str, int], str]) -> None:
+        place, node = line.place, said.node
         for fact in said.facts:
-            subject, value, text, told_to, is_motion = fact
+            subject, value, told_to = fact.subject, fact.value, fact.told_to
             if told_to and self._of_devices:
                 continue
-            is_command = told_to and not is_motion
-            key: Key = (line.place, said.node, COMMANDS if is_command else subject)
-            if not is_motion and not self._is_news(key, fact, said):
-                continue
-            if key not in self.labels:
-                self.labels[key] = _label(key, line, said, names)
-            if not is_motion:
-                self._add(key, line.time_ns, (subject, value), f"{subject} = {text}")
-            elif isinstance(value, str | bytes) or not (key in self.motions or _is_compared(key)):
-                self.unheeded[key] = self.unheeded.get(key, 0) + (not told_to)
-            else:
-                self._move(key, line.time_ns, float(value))
+            if fact.motion:
+                key: Key = (place, node, subject)
+                if key not in self.labels:
+                    self.labels[key] = _label(key, line, said, names)
+                if isinstance(value, str | bytes) or not (key in self.motions or _is_compared(key)):
+                    self.unheeded[key] = self.unheeded.get(key, 0) + (not told_to)
+                else:
+                    self._move(key, line.time_ns, float(value))
+            elif self._is_news((place, node, told_to, subject), value, said.kind):
+                key = (place, node, COMMANDS if told_to else subject)
+                if key not in self.labels:
+                    self.labels[key] = _label(key, line, said, names)
+                self._add(key, line.time_ns, (subject, value), f"{subject} = {fact.text}")
 
-    def _is_news(self, key: Key, fact: Fact, said: DecodedEvent) -> bool:
+    def _is_news(self, place: tuple[str, int | None, bool, str], value: Value, kind: Kind) -> bool:
         """Return True if a fact is new or has changed; always for a command by SDO or NMT."""
-        known = self._last.get((key, fact.subject))
-        self._last[key, fact.subject] = fact.value
-        if fact.told_to and said.kind not in PERIODIC:
+        if self._last.get(place) != value:
+            _, _, _, subject = place
+            if subject not in _ALWAYS and not subject.endswith(_ALWAYS_AT_END):
+                self._last[place] = value
             return True
-        if fact.subject in _ALWAYS or fact.subject.endswith(("aborted", "refused")):
-            return True
-        return known != fact.value or said.kind is Kind.BOOT
+        return kind is Kind.BOOT or (place[2] and kind not in PERIODIC)
 
     def _add(self, key: Key, time_ns: int, what: tuple[object, ...], text: str) -> None:
         if len(self._shared) >= _SHARED_MAX:

@@ -169,8 +169,12 @@ def read_ownership(recording: str | os.PathLike[str] | Trace) -> OwnershipRecord
 
 def lock_events(trace: Trace) -> Iterator[LockEvent]:
     """Yield the messages of all `/motor/<name>/lock` topics in the order of the record."""
+    motors: dict[str, str | None] = {}  # by topic
     for channel, time_ns, data in trace.messages():
-        name = motor_of(channel.topic)
+        topic = channel.topic
+        if topic not in motors:
+            motors[topic] = motor_of(topic)
+        name = motors[topic]
         if name is not None:
             yield lock_event(name, time_ns, data)
 

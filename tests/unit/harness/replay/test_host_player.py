@@ -182,6 +182,30 @@ def test_awaited_state_is_matched_by_value():
     assert player.missed == []
 
 
+class Never:
+    """A value that equals none, and counts the comparisons."""
+
+    compared = 0
+
+    def __eq__(self, other):
+        Never.compared += 1
+        return False
+
+    def __hash__(self):
+        return hash(4)  # as that of a state
+
+
+def test_reports_of_other_values_are_compared_once():
+    """A wait in vain must not look at all earlier reports again, which would be quadratic."""
+    awaited = [state(0, STOPPED)._replace(value=Never()) for _ in range(100)]
+    player = started(*(step(0, one) for one in awaited), patience_ns=0)
+    for number in range(100):
+        player.heard("can0", (STOPPED, OPERATIONAL)[number % 2], 0, False)
+    assert len(player.take(0)) == 100
+    assert len(player.missed) == 100
+    assert Never.compared <= 100
+
+
 def test_two_equal_answers_are_awaited_separately():
     player = started(step(0, answer(0)), step(20, answer(12)))
     player.heard("can0", ANSWERED, 1 * MS, False)

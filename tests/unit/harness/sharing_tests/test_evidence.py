@@ -1,5 +1,8 @@
 """Evidence from frames: frames by the standards, ownership as recorded."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import pytest
 
 from motorhil.harness.sharing_tests.bus_evidence import BusFrame, commanded_node, judge_frames
@@ -69,6 +72,36 @@ def test_frames_of_owner_and_of_free_time_are_sound():
     evidence = judged(frame(15, "a"), frame(25, "c"), frame(35, "b"), frame(50, "a"))
     evidence.require_sound()
     assert evidence.counts == {"pan: own": 3, "pan: free": 1}
+
+
+class Counted(Sequence):
+    """Tenures that count how often one of them is looked at."""
+
+    looks = 0
+
+    def __init__(self, tenures):
+        self.tenures = tenures
+
+    def __len__(self):
+        return len(self.tenures)
+
+    def __getitem__(self, place):
+        self.looks += 1
+        return self.tenures[place]
+
+
+def test_owner_of_a_frame_is_found_without_looking_at_all_tenures():
+    turns = [
+        told(10 * number + at_ms, action, number, "a")
+        for number in range(1, 1001)
+        for at_ms, action in ((0, TAKEN), (5, RELEASED))
+    ]
+    record = ownership_of(turns)
+    counted = Counted(record.tenures["pan"])
+    frames = [frame(10 * number + 1, "a") for number in range(1, 1001)]
+    evidence = judge_frames(frames, replace(record, tenures={"pan": counted}), NODES)
+    assert evidence.counts == {"pan: own": 1000}
+    assert counted.looks <= 1000 * 12
 
 
 @pytest.mark.parametrize("at_ms", [10, 19.9, 30, 39.9, 45])
