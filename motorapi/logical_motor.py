@@ -49,7 +49,7 @@ from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.planning.single_axis import duration_of
 from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, Awaited, Runtime, wait_until
 from motorhil.motorapi.state import Fault, MotorState
-from motorhil.motorapi.trajectory import Argument, Trajectory
+from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, Trajectory, has_moving_ends
 
 _ADOPTION_S: Final = 30.0
 """The timeout for the rest of a motor that was left moving [s]."""
@@ -529,8 +529,11 @@ def _expected_s(motion: Motion) -> float | None:
 
 def _covered(motion: Motion, position: float | None) -> float | None:
     """Return the fraction of the distance covered, or None unless it is a position profile."""
-    if motion.variable is not ControlVariable.POSITION or motion.function is not None:
+    if motion.variable is not ControlVariable.POSITION:
         return None
+    trajectory = motion.trajectory
+    if isinstance(trajectory, ComplexTrajectory) or has_moving_ends(trajectory):
+        return None  # it may turn round on its way
     if position is None or not motion.distance:
         return None
     return min(1.0, max(0.0, (position - motion.start) / motion.distance))
