@@ -128,6 +128,14 @@ class Motor(MotorHooks):
         """The state behind these methods, for groups and tools."""
         return self.__logical
 
+    def close(self) -> None:
+        """Release the motor: commands and measurements are refused. Closing again does nothing.
+
+        Other logical motors of the same hardware object stay open.
+        """
+        self.__logical.close()
+        super().close()
+
     # ---- settings, kept here until start() ----
 
     @property
@@ -483,6 +491,7 @@ class Motor(MotorHooks):
     @final
     def fault(self) -> Fault | None:
         """Return the fault reported by the drive, or None."""
+        self.__logical.require_open()
         access = self.__logical.physical.access
         if access is None:
             with self.__logical.physical.passage(self.name):
@@ -495,6 +504,7 @@ class Motor(MotorHooks):
     @final
     def is_referenced(self) -> bool:
         """Return True if position 0 is that of the model."""
+        self.__logical.require_open()
         with self.__logical.physical.passage(self.name):
             self.__hooks.connect()
             return self.__hooks.read_referenced()
@@ -533,8 +543,10 @@ class Motor(MotorHooks):
         """Return a measured value; during low-level access, the last one received.
 
         Raises:
+            LinkError: this motor was closed.
             MotorBusyError: low-level access is active, and no value was received.
         """
+        self.__logical.require_open()
         access = self.__logical.physical.access
         if access is None:
             with self.__logical.physical.passage(self.name):
