@@ -424,9 +424,11 @@ class Motor(MotorHooks):
             fault = self.__hooks.read_fault()
             if fault is None:
                 return
+            physical = self.__logical.physical
+            if physical.run is not None:
+                error = fault.as_error(physical.run.owner.name)
+                physical.fail(error, self.runtime.now_ns())  # a wait may not have heard of it yet
             self.__hooks.reset_fault()
-            by = f"fault {fault.code:04X}h"
-            self.__logical.physical.end(by, self.runtime.now_ns(), RunStatus.FAILED)
 
     @final
     def home(
