@@ -377,11 +377,11 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
         MotorError: a supported mode cannot be begun.
     """
     for mode in _MODES:
-        if mode.capability in bench.facts.without or not _is_known(bench, mode):
+        if mode.capability in bench.facts.without:
             continue
-        if mode.is_distance and is_over_soon(bench):
+        bench.afresh()  # which costs nothing as long as no motor was asked for
+        if not _is_known(bench, mode) or (mode.is_distance and is_over_soon(bench)):
             continue
-        bench.afresh()
         try:
             mode.begin(bench, bench.motor)
         except UnsupportedError:
