@@ -9,7 +9,7 @@ returns a current value, a `writer` accepts or refuses a new value.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from enum import IntEnum, unique
 from typing import Final, Protocol, final
 
@@ -332,7 +332,7 @@ class ObjectDictionary:
     def __init__(self, pattern: "ObjectDictionary | None" = None) -> None:
         self._variables: dict[int, Variable] = {}
         self._hidden: dict[int, Variable] = {}
-        self._pattern: Mapping[int, Variable] = {}
+        self._pattern: dict[int, Variable] = {}
         self._subindices: dict[int, tuple[int, ...]] = {}
         if pattern is not None:
             self._pattern = pattern.variables()
@@ -358,7 +358,7 @@ class ObjectDictionary:
             variable = self._variables[key] = self._pattern[key].copy()
         return variable
 
-    def variables(self) -> Mapping[int, Variable]:
+    def variables(self) -> dict[int, Variable]:
         """Return all visible variables by index << 8 | sub-index."""
         for key in self._pattern:
             self.get(key >> 8, key & 0xFF)
@@ -372,7 +372,7 @@ class ObjectDictionary:
         """Return the visible sub-indices of an object, ascending; () if it is absent."""
         return self._subindices.get(index, ())
 
-    def layout(self) -> Mapping[int, tuple[int, ...]]:
+    def layout(self) -> dict[int, tuple[int, ...]]:
         """Return the visible sub-indices of each object, ascending."""
         return self._subindices
 
