@@ -49,7 +49,7 @@ from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.planning.single_axis import duration_of
 from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, Awaited, Runtime, wait_until
 from motorhil.motorapi.state import Fault, MotorState
-from motorhil.motorapi.trajectory import Argument, Trajectory
+from motorhil.motorapi.trajectory import Argument, ComplexTrajectory, Trajectory, has_moving_ends
 
 _ADOPTION_S: Final = 30.0
 """The timeout for the rest of a motor that was left moving [s]."""
@@ -97,6 +97,16 @@ class LogicalMotor:
         self._refreshed_ns: int | None = None
         self._callback_error: PluginError | None = None
         self._held_hardware: tuple[Ticket, object] | None = None
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Refuse all operations from now on."""
+        self._is_closed = True
+
+    def require_open(self) -> None:
+        """Raise LinkError if this motor was closed, whoever else keeps the hardware open."""
+        if self._is_closed:
+            raise LinkError(link=self.name, reason="this motor was closed", remedy="make a new one")
 
     def forgotten(self) -> str:
         """Return a sentence about a command that was set but not started, or an empty text."""
@@ -111,6 +121,7 @@ class LogicalMotor:
     @contextmanager
     def operation(self, name: str, timeout_s: float | None = None) -> Iterator[None]:
         """Own the connected motor inside the block, without other operations."""
+        self.require_open()
         ownership = self.physical.ownership
         with self._commanding(f"{name}() of {self.name}", timeout_s):
             self._take_physical(ownership.is_orphan)
@@ -127,6 +138,7 @@ class LogicalMotor:
         self, purpose: str, timeout_s: float | None, lease_s: float | None, take_over: bool
     ) -> Iterator[Reservation]:
         """Own the motor inside the block; see `Motor.reserve`."""
+        self.require_open()
         policy = None if timeout_s is None else self._policy(timeout_s)
         who, asked_ns = f"reserve() of {self.name}", self.runtime.now_ns()
         physical = self.physical
@@ -144,6 +156,7 @@ class LogicalMotor:
 
     def bring_to_rest(self, operation: str, stop: Callable[[], object]) -> None:
         """Stop the motor by `stop`, which neither waits nor needs ownership; its motion ends."""
+        self.require_open()
         with self.physical.interrupt(self.name):
             status = self.status()
             self.hooks.connect()
@@ -443,6 +456,7 @@ class LogicalMotor:
     @contextmanager
     def low_level(self, timeout_s: float | None) -> Iterator[object]:
         """Yield the hardware object; see `Motor.low_level`."""
+        self.require_open()
         physical, runtime = self.physical, self.runtime
         held = self._held_hardware
         if held is not None and held[0] is physical.access and physical.is_held_here:
@@ -529,8 +543,11 @@ def _expected_s(motion: Motion) -> float | None:
 
 def _covered(motion: Motion, position: float | None) -> float | None:
     """Return the fraction of the distance covered, or None unless it is a position profile."""
-    if motion.variable is not ControlVariable.POSITION or motion.function is not None:
+    if motion.variable is not ControlVariable.POSITION:
         return None
+    trajectory = motion.trajectory
+    if isinstance(trajectory, ComplexTrajectory) or has_moving_ends(trajectory):
+        return None  # it may turn round on its way
     if position is None or not motion.distance:
         return None
     return min(1.0, max(0.0, (position - motion.start) / motion.distance))

@@ -128,6 +128,14 @@ class Motor(MotorHooks):
         """The state behind these methods, for groups and tools."""
         return self.__logical
 
+    def close(self) -> None:
+        """Release the motor: commands and measurements are refused. Closing again does nothing.
+
+        Other logical motors of the same hardware object stay open.
+        """
+        self.__logical.close()
+        super().close()
+
     # ---- settings, kept here until start() ----
 
     @property
@@ -416,9 +424,11 @@ class Motor(MotorHooks):
             fault = self.__hooks.read_fault()
             if fault is None:
                 return
+            physical = self.__logical.physical
+            if physical.run is not None:
+                error = fault.as_error(physical.run.owner.name)
+                physical.fail(error, self.runtime.now_ns())  # a wait may not have heard of it yet
             self.__hooks.reset_fault()
-            by = f"fault {fault.code:04X}h"
-            self.__logical.physical.end(by, self.runtime.now_ns(), RunStatus.FAILED)
 
     @final
     def home(
@@ -483,6 +493,7 @@ class Motor(MotorHooks):
     @final
     def fault(self) -> Fault | None:
         """Return the fault reported by the drive, or None."""
+        self.__logical.require_open()
         access = self.__logical.physical.access
         if access is None:
             with self.__logical.physical.passage(self.name):
@@ -495,6 +506,7 @@ class Motor(MotorHooks):
     @final
     def is_referenced(self) -> bool:
         """Return True if position 0 is that of the model."""
+        self.__logical.require_open()
         with self.__logical.physical.passage(self.name):
             self.__hooks.connect()
             return self.__hooks.read_referenced()
@@ -533,8 +545,10 @@ class Motor(MotorHooks):
         """Return a measured value; during low-level access, the last one received.
 
         Raises:
+            LinkError: this motor was closed.
             MotorBusyError: low-level access is active, and no value was received.
         """
+        self.__logical.require_open()
         access = self.__logical.physical.access
         if access is None:
             with self.__logical.physical.passage(self.name):

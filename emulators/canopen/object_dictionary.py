@@ -225,6 +225,14 @@ class Variable:
         self.reader: Reader | None = None
         self.writer: Writer | None = None
 
+    def copy(self) -> "Variable":
+        """Return a new variable as this one was made, with its power-on value."""
+        new = Variable(self.index, self.subindex, self.data_type, self.name, self.access)
+        new.pdo_mappable, new.low, new.high = self.pdo_mappable, self.low, self.high
+        new.has_default, new.default, new.value = self.has_default, self.default, self.default
+        new.follows_node_id = self.follows_node_id
+        return new
+
     def is_readable(self) -> bool:
         """Return whether SDO upload is allowed (for PDOs see `entry_refusal`)."""
         return self.access != "wo"
@@ -316,12 +324,19 @@ class ObjectDictionary:
 
     An absent object is invisible to SDO and PDO, but the behaviour behind it keeps the standard's
     default: `ensure` provides a variable for it.
+
+    Args:
+        pattern: a dictionary that nobody uses: its variables are copied when they are asked for.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, pattern: "ObjectDictionary | None" = None) -> None:
         self._variables: dict[int, Variable] = {}
         self._hidden: dict[int, Variable] = {}
-        self._subindices: dict[int, list[int]] = {}
+        self._pattern: dict[int, Variable] = {}
+        self._subindices: dict[int, tuple[int, ...]] = {}
+        if pattern is not None:
+            self._pattern = pattern.variables()
+            self._subindices.update(pattern.layout())
         self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
         self.node_id: int = 0
         self.supports_lss = False
@@ -330,15 +345,24 @@ class ObjectDictionary:
         """Add a visible variable; it replaces one with the same index and sub-index."""
         index, subindex = variable.index, variable.subindex
         self._variables[index << 8 | subindex] = variable
-        subindices = self._subindices.setdefault(index, [])
+        subindices = self._subindices.get(index, ())
         if subindex not in subindices:
-            subindices.append(subindex)
-            subindices.sort()
+            self._subindices[index] = tuple(sorted((*subindices, subindex)))
         return variable
 
     def get(self, index: int, subindex: int = 0) -> Variable | None:
         """Return the visible variable, or None if it is absent."""
-        return self._variables.get(index << 8 | subindex)
+        key = index << 8 | subindex
+        variable = self._variables.get(key)
+        if variable is None and key in self._pattern:
+            variable = self._variables[key] = self._pattern[key].copy()
+        return variable
+
+    def variables(self) -> dict[int, Variable]:
+        """Return all visible variables by index << 8 | sub-index."""
+        for key in self._pattern:
+            self.get(key >> 8, key & 0xFF)
+        return self._variables
 
     def has_index(self, index: int) -> bool:
         """Return whether any sub-index of the object is visible."""
@@ -346,15 +370,19 @@ class ObjectDictionary:
 
     def subindices(self, index: int) -> tuple[int, ...]:
         """Return the visible sub-indices of an object, ascending; () if it is absent."""
-        return tuple(self._subindices.get(index, ()))
+        return self._subindices.get(index, ())
+
+    def layout(self) -> dict[int, tuple[int, ...]]:
+        """Return the visible sub-indices of each object, ascending."""
+        return self._subindices
 
     def indices(self) -> tuple[int, ...]:
         """Return the indices of all visible objects, ascending."""
         return tuple(sorted(self._subindices))
 
     def __iter__(self) -> Iterator[Variable]:
-        for key in sorted(self._variables):
-            yield self._variables[key]
+        for _, variable in sorted(self.variables().items()):
+            yield variable
 
     def ensure(
         self,
@@ -370,7 +398,7 @@ class ObjectDictionary:
         call returns the same variable.
         """
         key = index << 8 | subindex
-        variable = self._variables.get(key)
+        variable = self.get(index, subindex)
         if variable is not None:
             if not variable.has_default and variable.can_hold(default):
                 variable.set_default(default)
@@ -384,9 +412,12 @@ class ObjectDictionary:
 
     def integer(self, index: int, subindex: int, default: int) -> int:
         """Return the stored whole number, or `default` if it is absent or not a number."""
-        variable = self._variables.get(index << 8 | subindex)
+        key = index << 8 | subindex
+        variable = self._variables.get(key)
+        if variable is None:  # nothing has changed one that was never asked for
+            variable = self._pattern.get(key)
         if variable is None:
-            variable = self._hidden.get(index << 8 | subindex)
+            variable = self._hidden.get(key)
         if variable is None:
             return default
         value = variable.value
@@ -395,7 +426,9 @@ class ObjectDictionary:
     def follow(self, node_id: int) -> None:
         """Adapt the defaults that follow the node-ID; values stay until a reset."""
         shift, self.node_id = node_id - self.node_id, node_id
-        for variables in (self._variables, self._hidden):
+        if shift == 0:
+            return
+        for variables in (self.variables(), self._hidden):
             for variable in variables.values():
                 if variable.follows_node_id and isinstance(variable.default, int):
                     variable.default += shift

@@ -14,14 +14,13 @@ from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Clause, NotApplicable, Result, Verdict, Violated
 from motorhil.harness.conformance.leaks import watched
 from motorhil.harness.conformance.places import CLAUSES, raised_at
-from motorhil.harness.conformance.verdicts.diagnosis import diagnose
-from motorhil.harness.conformance.verdicts.observation import Observation
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
 from motorhil.motorapi import LimitError, MotorError, MotorModel, PluginError, UnsupportedError
 
 if TYPE_CHECKING:
     from motorhil.harness.conformance.bench import RigProtocol
+    from motorhil.harness.conformance.verdicts.observation import Observation
 
 _OPTIONAL: Final = ("hypothesis",)  # that some clauses need and motorhil does not
 
@@ -148,9 +147,11 @@ class _Judge:
         return Verdict(self._one.id, Result.CRASHED, seen, place)
 
     def diagnosed(
-        self, verdict: Verdict, error: BaseException, observation: Observation | None
+        self, verdict: Verdict, error: BaseException, observation: "Observation | None"
     ) -> Verdict:
         """Return the verdict with a diagnosis."""
+        from motorhil.harness.conformance.verdicts.diagnosis import diagnose
+
         diagnosis = diagnose(self._one, error, verdict.seen, self._home, observation)
         return replace(verdict, diagnosis=diagnosis)
 

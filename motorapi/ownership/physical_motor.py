@@ -64,6 +64,10 @@ class RunStatus(Enum):
 class MotionOwner(Protocol):
     """A party that begins motions (a logical motor)."""
 
+    @property
+    def name(self) -> str:
+        """Its name in messages."""
+
     def goes_on(self, run: "ActiveMotion") -> bool:
         """Return True if `run` is the active motion and has not ended."""
 

@@ -4,6 +4,7 @@ import sys
 
 import pytest
 
+from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
@@ -11,9 +12,19 @@ from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.conformance.target import Target
-from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.config.rig_file import parse_rig, read_rig
+from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.rig import installed_plugins
-from tests.conformance.variants import BENCHES, OTHERS, VARIANTS, VENDORS, of_vendor, text_of
+from tests.conformance.variants import (
+    BENCHES,
+    LIMITED_JERK,
+    OTHERS,
+    VARIANTS,
+    VENDORS,
+    of_vendor,
+    text_of,
+)
+from tests.support.kit_benches import RIGS
 
 CLAUSES = all_clauses()
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"
@@ -92,6 +103,25 @@ def test_gently_braking_motor_passes(tmp_path, clause):
     gently = (_ACCELERATION, f"{_ACCELERATION}\ndeceleration_max_rad_s2 = 1.0")
     verdict = verdict_of(clause, opener_of(tmp_path, gently))
     assert verdict.result is Result.PASSED, verdict.seen
+
+
+OF_JERK = {
+    "cia402": (
+        *("TRAJ-02", "TRAJ-03", "TRAJ-04", "TRAJ-09", "START-02", "START-05", "DONE-01"),
+        *("DONE-04", "STOP-04", "SHARE-12", "SYNC-02", "SYNC-03", "SYNC-08", "SYNC-09"),
+        *("SYNC-10", "SYNC-13", "SYNC-14"),
+    ),
+    "ideal": ("TRAJ-05", "TRAJ-11", "TRAJ-13", "TRAJ-14"),  # its velocities are limited, too
+}
+"""Clauses that knew of no limit of jerk."""
+
+
+@pytest.mark.parametrize("kind", OF_JERK)
+def test_motor_with_limited_jerk_is_not_accused(kind):
+    path = RIGS / f"{kind}.toml"
+    text = variations.text_of(path.read_text(), LIMITED_JERK)
+    described = bench_description(parse_rig(Source(path, text), installed_plugins()), kind)
+    assert accusations(lambda: RigBench(described, 1), OF_JERK[kind]) == []
 
 
 NARROW = (_TORQUE, f"{_TORQUE}\nposition_min_rad = -0.1\nposition_max_rad = 0.1")

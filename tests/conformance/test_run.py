@@ -8,6 +8,7 @@ from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError
+from motorhil.motorapi import ControlMode
 from tests.conformance.mutants import MUTANTS
 from tests.conformance.mutants.everyone import MODULES
 from tests.support.kit_benches import claims, opener
@@ -44,3 +45,20 @@ def test_violation_raised_by_a_helper_is_placed_in_its_clause():
         verdict = run_clause(all_clauses()["TRAJ-01"], opener(mutant.kind))
     assert verdict.result is Result.FAILED
     assert Path(verdict.place.rpartition(":")[0]).name == "trajectories.py"
+
+
+def test_bench_is_only_opened_again_if_used():
+    with opener("ideal")() as bench:
+        new = bench.rig
+        bench.afresh()
+        assert bench.rig is new
+        bench.motor.set_control_mode(ControlMode.SETPOINT)
+        bench.afresh()
+        assert bench.motor.control_mode is None
+        used = bench.rig
+        bench.afresh()
+        assert bench.rig is not used
+    with opener("ideal")() as bench:
+        bench.runtime.run_for(0.1)
+        bench.afresh()
+        assert bench.runtime.now_ns() == 0

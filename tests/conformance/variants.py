@@ -18,6 +18,7 @@ _SEEKING = "seeking_method = 17\n"
 _WITHOUT_CONSUMER = '\n[conformance.without]\ndead_man = "the file has no heartbeat consumer"\n'
 _ACCELERATION = "acceleration_max_rad_s2 = 4.0"
 _GENTLY = [(_ACCELERATION, f"{_ACCELERATION}\ndeceleration_max_rad_s2 = 1.0")]
+LIMITED_JERK = [(_ACCELERATION, f"{_ACCELERATION}\njerk_max_rad_s3 = 8.0")]
 _BY_SDO = "".join(
     f'{one} = "it has no RPDO"\n'
     for one in ("complex_position", "complex_velocity", "common_trigger")
@@ -45,7 +46,7 @@ _NO_RPDOS = [
 ]
 _CIA402 = (RIGS / "cia402.toml").read_text()
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402)}
-VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
+VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS, "limited jerk": LIMITED_JERK}
 VARIANTS["position limits in the drive"] = of_drive(
     'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
 )

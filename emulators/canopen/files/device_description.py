@@ -72,18 +72,21 @@ class DeviceDescription:
         self.objects: tuple[VariableDescription, ...] = ()
         self.dummies: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
         self.warnings: tuple[tuple[Path, int, str], ...] = ()
+        self._pattern: ObjectDictionary | None = None  # of `objects`, which are final by then
 
     def dictionary(self) -> ObjectDictionary:
         """Return a new object dictionary; `Variable.has_default` marks values stated in the file.
 
         If 1018h states no identity, that of [DeviceInfo] is used.
         """
-        od = ObjectDictionary()
+        if self._pattern is None:
+            self._pattern = ObjectDictionary()
+            for description in self.objects:
+                self._pattern.add(description.variable())
+        od = ObjectDictionary(self._pattern)
         od.dummies = self.dummies
         od.node_id = self.node_id
         od.supports_lss = self.supports_lss
-        for description in self.objects:
-            od.add(description.variable())
         numbers = (self.vendor_number, self.product_number, self.revision_number)
         for subindex, number in enumerate(numbers, start=1):
             variable = od.get(_IDENTITY, subindex)

@@ -5,17 +5,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Final, Self, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack, pack_fd
-from motorhil.emulators.dynamixel.packets import Instruction, packet
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorhil.emulators.modbus.rtu import with_crc
-from motorhil.emulators.modbus.tcp import adu as adu_of
 from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.clause import NotApplicable
-from motorhil.harness.conformance.verdicts.observation import Observation
 from motorhil.harness.plugins import DECODERS, installed
 from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.conformance import Facts
@@ -24,10 +20,12 @@ from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.units import units_per_plant_rad
 from motorhil.harness.rig.rig import Rig
-from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.motorapi import Motor, MotorError, UsageError
-from motorhil.traces.decoding.narrative import BusMessage
+
+if TYPE_CHECKING:  # a first verdict needs no decoder
+    from motorhil.harness.conformance.verdicts.observation import Observation
+    from motorhil.traces.decoding.narrative import BusMessage
 
 SECOND_USER: Final = "another"
 _READER: Final = "reader"
@@ -146,10 +144,13 @@ class RigBench:
         for reader in self._readers:
             self.runtime.spawn(reader, partial(self._read, reader))
 
-        self.observation: Observation | None = None
-        if self._is_observed:
-            names = self.facts.motors
-            self.observation = Observation(self.rig, self._description, names, self._seen_truth)
+        self._is_used = False
+        self.observation = self._observe() if self._is_observed else None
+
+    def _observe(self) -> "Observation":
+        from motorhil.harness.conformance.verdicts.observation import Observation
+
+        return Observation(self.rig, self._description, self.facts.motors, self._seen_truth)
 
     def _send_messages(self, bus: BusDescription) -> None:
         """Send the declared messages of others from a node of their own, each with its period."""
@@ -197,9 +198,10 @@ class RigBench:
         self.rig.close()
 
     def afresh(self) -> None:
-        """Switch everything off and on again: `motors` are new and unused."""
-        self.rig.close()
-        self._switch_on()
+        """Switch everything off and on again, unless all is new: `motors` are new and unused."""
+        if self._is_used or self.runtime.now_ns() > 0:
+            self.rig.close()
+            self._switch_on()
 
     # --- motors under test ----------------------------------------------------------------
 
@@ -216,20 +218,21 @@ class RigBench:
             able.add(Ability.SOLE_USER)
         if len(self.facts.motors) > 1:
             able.add(Ability.SECOND_MOTOR)
-        first = self._description.motors[self.facts.motors[0]]
+        name = self.facts.motors[0]
+        first, motor = self._description.motors[name], self.rig.motors[name]  # not used by that
         if first.adaptation == "ideal":
             able |= {Ability.TRUTH, Ability.FAULT}
-        elif "position_rad" in self._truth(self.motor):
+        elif "position_rad" in self._truth(motor):
             able.add(Ability.TRUTH)
         if first.controller is not None:
             able |= {Ability.LOAD, Ability.FAULT, Ability.LOSE}
             able |= {Ability.CUT, Ability.SILENCE_HOST}
             kind = self._description.controllers[first.controller].kind
-            if kind in _CANOPEN or self._is_on_a_line(self.motor):
+            if kind in _CANOPEN or self._is_on_a_line(motor):
                 able |= {Ability.TRAFFIC, Ability.LATE}
-            if self._is_plain(self.motor) and kind not in installed(DECODERS):
+            if self._is_plain(motor) and kind not in installed(DECODERS):
                 able.remove(Ability.TRAFFIC)
-            if not self._is_on_a_line(self.motor):
+            if not self._is_on_a_line(motor):
                 able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
             if kind in _CANOPEN:
                 able |= {Ability.STOP_SYNC, Ability.RESTART, Ability.CLOCK}
@@ -240,15 +243,18 @@ class RigBench:
     @property
     def motor(self) -> Motor:
         """The motor under test."""
+        self._is_used = True
         return self.rig.motors[self.facts.motors[0]]
 
     @property
     def motors(self) -> Sequence[Motor]:
         """All motors under test."""
+        self._is_used = True
         return tuple(self.rig.motors[name] for name in self.facts.motors)
 
     def another_user_of(self, motor: Motor) -> Motor:
         """Return another logical motor on the same physical motor."""
+        self._is_used = True
         return self.rig.motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
     # --- observations and actions ---------------------------------------------------------
@@ -409,6 +415,10 @@ class RigBench:
 
     def stop_from_elsewhere(self, motor: Motor) -> None:
         """Halt a CiA 402 drive by SDO, or stop a Modbus drive by its registers."""
+        from motorhil.emulators.dynamixel.packets import Instruction, packet
+        from motorhil.emulators.modbus.rtu import with_crc
+        from motorhil.emulators.modbus.tcp import adu as adu_of
+
         described = self._description.controllers[self._controller(motor)]
         node, command = described.node_id or 0, _STOPS[described.kind]
         if described.kind == "dynamixel":
@@ -432,6 +442,8 @@ class RigBench:
     @contextmanager
     def commands_to(self, motor: Motor) -> Iterator[list[str]]:
         """Record host commands to the motor's drive that may move or change it, in the block."""
+        from motorhil.harness.sharing_tests.bus_evidence import commanded_node
+
         seen: list[str] = []
         bus = self._bus(motor)
         address = self._description.controllers[self._controller(motor)].node_id
@@ -485,7 +497,7 @@ class RigBench:
     def _is_plain(self, motor: Motor) -> bool:
         return self._description.buses[self._bus(motor)].kind == SERIAL
 
-    def _decoder(self, motor: Motor) -> Callable[[bytes], BusMessage | None]:
+    def _decoder(self, motor: Motor) -> "Callable[[bytes], BusMessage | None]":
         """Return the decoder of the motor's drive."""
         described = self._description.controllers[self._controller(motor)]
         decode: Callable[[bytes], BusMessage | None] = installed(DECODERS)[described.kind].load()(

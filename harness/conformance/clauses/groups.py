@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     finish_group,
     follow,
     half_move,
+    in_phase,
     midway_s,
     move,
     pair_of,
@@ -39,6 +40,7 @@ from motorhil.harness.conformance.clauses.tracks import (
     GroupPositions,
     positions_of,
     sampling_error_s,
+    when_made_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
@@ -141,18 +143,15 @@ def sync_quality_is_as_measured(bench: RigProtocol) -> None:
 def _expect_true_times(
     bench: RigProtocol, quality: SyncQuality, track: GroupPositions, ways: tuple[float, ...]
 ) -> list[float]:
-    """Check each member's reported start and end against its motion; return the true ends [ns].
-
-    A profile makes the first share of its way in the ramp up, and the last in the ramp down.
-    """
+    """Check each member's reported start and end against its motion; return the true ends [ns]."""
     expect(len(quality.times) == len(ways), f"times of {len(quality.times)} motors reported")
     ends_ns = []
     for member, (name, times) in enumerate(quality.times):
-        model, way = bench.motors[member].model, ways[member]
-        up_s = sqrt(2.0 * BEGUN * abs(way) / model.acceleration_max)
-        down_s = sqrt(2.0 * BEGUN * abs(way) / model.deceleration)
-        begun_ns = (track.when(member, BEGUN, way) or 0.0) - 1e9 * up_s
-        ends_ns.append((track.when(member, _ENDED, way) or 0.0) + 1e9 * down_s)
+        way = ways[member]
+        begin_s, end_s = (when_made_s(bench.motors[member], way, one) for one in (BEGUN, _ENDED))
+        left_s = shortest_s(bench.motors[member], way) - end_s
+        begun_ns = (track.when(member, BEGUN, way) or 0.0) - 1e9 * begin_s
+        ends_ns.append((track.when(member, _ENDED, way) or 0.0) + 1e9 * left_s)
         error_s = sampling_error_s(bench, way, BEGUN) + max(map(abs, bench.facts.latency_s))
         late_s = error_s + bench.facts.time_tolerance_s
         if times is None:
@@ -455,14 +454,14 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     way = half_move(bench)
     ways = (way, -0.4 * way)
     group = pair_of(bench, *ways)
-    group.synchronization = Synchronization.PHASE
     slowly = _SLOWLY * bench.motors[1].model.velocity_max
     for limits in (None, DerivativeLimits(first=slowly)):
         first, second = ways
         group.set_trajectory(
             TrapezoidalTrajectory(first), TrapezoidalTrajectory(second, limits=limits)
         )
-        track = _expect_line(bench, group, ways)
+        with in_phase(group):
+            track = _expect_line(bench, group, ways)
         if limits is None:
             continue
         found = fastest([(at_ns / 1e9, at) for at_ns, (_, at) in track.samples])
@@ -691,14 +690,17 @@ def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
         bench.afresh()
         way = 3.0 * half_move(bench)
         group = pair_of(bench, way, -way)
-        if reaction is FaultReaction.TOGETHER:
-            group.synchronization = Synchronization.PHASE
+        is_together = reaction is FaultReaction.TOGETHER
         group.fault_reaction = reaction
         failing, other = bench.motors[:2]
         waiting = "a caller waits" if waits else "no caller waits"
         what = f"{failing.name} failed with reaction {reaction.name} while {waiting}"
         before = position_of(bench, other)
-        group.start()
+        try:
+            with in_phase(group) if is_together else nullcontext():
+                group.start()
+        except NotApplicable:
+            continue
         rest_for(bench, midway_s(other, way, 0.4))
         bench.fail(failing)
         error = failure_of(partial(group.wait_until_done, 10.0)) if waits else None

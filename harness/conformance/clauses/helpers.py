@@ -1,18 +1,18 @@
 """Common steps of clauses: move motors and groups, measure them, check their state.
 
-U is the unit of the motor's position, rad or m. Expected profiles are computed here from a
-textbook, independently of the interface under test.
+U is the unit of the motor's position, rad or m.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from math import sqrt
+from math import cbrt, inf, sqrt
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.conformance.bench import Ability, Lost, RigProtocol
 from motorhil.harness.conformance.clause import NotApplicable, Violated, expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
@@ -24,6 +24,7 @@ from motorhil.motorapi import (
     MotorGroup,
     MotorState,
     PluginError,
+    Synchronization,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
@@ -64,7 +65,8 @@ def long_move(bench: RigProtocol) -> float:
 def shortest_s(motor: Motor, way: float) -> float:
     """Return the shortest time of a rest-to-rest move within the model's limits [s]."""
     model = motor.model
-    return least_s(way, model.velocity_max, model.acceleration_max, model.deceleration)
+    ramps = model.acceleration_max, model.deceleration
+    return least_s(way, model.velocity_max, *ramps, jerk_of(motor))
 
 
 def midway_s(motor: Motor, way: float, share: float) -> float:
@@ -75,35 +77,6 @@ def midway_s(motor: Motor, way: float, share: float) -> float:
     """
     model = motor.model
     return share * shortest_s(motor, way) * min(1.0, model.deceleration / model.acceleration_max)
-
-
-def least_s(way: float, velocity: float, acceleration: float, deceleration: float) -> float:
-    """Return the shortest time of a rest-to-rest move within these limits [s]."""
-    peak = min(velocity, sqrt(2.0 * abs(way) / (1.0 / acceleration + 1.0 / deceleration)))
-    if peak == 0.0:
-        return 0.0
-    return abs(way) / peak + 0.5 * peak * (1.0 / acceleration + 1.0 / deceleration)
-
-
-def trapezoid(
-    way: float, duration_s: float, acceleration: float, deceleration: float
-) -> Callable[[float], float]:
-    """Return a trapezoidal profile's position over time (Biagiotti & Melchiorri, 2008, 3.2.3)."""
-    lost_s = 0.5 * (1.0 / acceleration + 1.0 / deceleration)
-    peak = (duration_s - sqrt(max(0.0, duration_s**2 - 4.0 * lost_s * abs(way)))) / (2.0 * lost_s)
-    up_s, down_s = peak / acceleration, peak / deceleration
-
-    def position(at_s: float) -> float:
-        at_s = min(max(at_s, 0.0), duration_s)
-        if at_s < up_s:
-            made = 0.5 * acceleration * at_s**2
-        elif at_s <= duration_s - down_s:
-            made = peak * (at_s - 0.5 * up_s)
-        else:
-            made = abs(way) - 0.5 * deceleration * (duration_s - at_s) ** 2
-        return made if way >= 0.0 else -made
-
-    return position
 
 
 def rest_for(bench: RigProtocol, duration_s: float) -> None:
@@ -404,11 +377,11 @@ def modes_of(bench: RigProtocol) -> Iterator[Mode]:
         MotorError: a supported mode cannot be begun.
     """
     for mode in _MODES:
-        if mode.capability in bench.facts.without or not _is_known(bench, mode):
+        if mode.capability in bench.facts.without:
             continue
-        if mode.is_distance and is_over_soon(bench):
+        bench.afresh()  # which costs nothing as long as no motor was asked for
+        if not _is_known(bench, mode) or (mode.is_distance and is_over_soon(bench)):
             continue
-        bench.afresh()
         try:
             mode.begin(bench, bench.motor)
         except UnsupportedError:
@@ -452,6 +425,8 @@ def smooth_move(motor: Motor, way: float) -> ComplexTrajectory:
     model = motor.model
     slowest = _CALM * min(model.acceleration_max, model.deceleration)
     time_s = max(sqrt(6.0 * abs(way) / slowest), 1.5 * abs(way) / (0.8 * model.velocity_max))
+    if model.jerk_max is not None:
+        time_s = max(time_s, cbrt(12.0 * abs(way) / (0.8 * model.jerk_max)))
     return ComplexTrajectory(cubic_step(way, time_s), relative=True)
 
 
@@ -574,6 +549,27 @@ def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:
     group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
     group.set_trajectory(*(TrapezoidalTrajectory(way) for way in ways))
     return group
+
+
+def limits_jerk(group: MotorGroup) -> bool:
+    """Return whether a member limits the jerk of its moves, so that PHASE is refused."""
+    return any(jerk_of(motor) != inf for motor in group)
+
+
+@contextmanager
+def in_phase(group: MotorGroup) -> Iterator[None]:
+    """Synchronise the members by phase, which members with limited jerk may refuse in the block.
+
+    Raises:
+        NotApplicable: they do.
+    """
+    group.synchronization = Synchronization.PHASE
+    try:
+        yield
+    except UnsupportedError as error:
+        if not limits_jerk(group):
+            raise
+        raise NotApplicable(f"its motors limit the jerk: {error}") from None
 
 
 def finish_group(bench: RigProtocol, group: MotorGroup) -> None:

@@ -47,6 +47,7 @@ from motorhil.motorapi import (
     UsageError,
 )
 
+_WATCHED_S = 0.2
 _SHARED = {Ability.SEVERAL_USERS}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
@@ -444,6 +445,34 @@ def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
         expect_moved(bench, again, before, way, "opened again")
     motor.close()
     expect_state(again, MotorState.ENABLED, "after a second close() of the old one")
+
+
+@clause(
+    "CLOSE-03",
+    Level.L3,
+    needs=_MOVES,
+    bench=_SHARED,
+    source="Motor.close: commands and measurements are refused; others stay open",
+)
+def closed_motor_refuses_while_another_is_open(bench: RigProtocol) -> None:
+    """After close(), a motor is refused although another user keeps its hardware open."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    move(bench, other, way)
+    move(bench, motor, way)
+    before = position_of(bench, other)
+    motor.close()
+    for operation in (
+        *(motor.start, motor.reset_fault, motor.disable, motor.enable, motor.stop),
+        *(motor.quick_stop, motor.position, motor.velocity, motor.reserve().__enter__),
+    ):
+        what = f"{operation.__qualname__}() of a closed motor returned: another user has it open"
+        expect_raises(MotorError, operation, what)
+    rest_for(bench, _WATCHED_S)
+    expect_unmoved(bench, other, before, "after commands of a closed motor")
+    expect_state(other, MotorState.ENABLED, "after commands of a closed motor")
+    move(bench, other, way)
+    expect_moved(bench, other, before, way, "after another user was closed")
 
 
 @clause(

@@ -5,11 +5,12 @@ profile, and reach each share of it at the same time. U is the unit of position,
 """
 
 from collections.abc import Iterable, Sequence
-from math import sqrt
+from math import cbrt, sqrt
 from typing import Final
 
 from motorhil.harness.conformance.bench import RigProtocol
 from motorhil.harness.conformance.clause import expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, shortest, when_s
 from motorhil.harness.conformance.clauses.helpers import FINE_S, position_of, reached
 from motorhil.motorapi import Motor
 
@@ -63,12 +64,20 @@ class GroupPositions:
         return (max(known) - min(known)) / 1e9 if len(known) == len(times) else None
 
 
+def when_made_s(motor: Motor, way: float, share: float) -> float:
+    """Return the time after which the shortest move has made this share of its way [s]."""
+    model, size = motor.model, abs(way)
+    limits = model.velocity_max, model.acceleration_max, model.deceleration, jerk_of(motor)
+    return when_s(shortest(size, *limits), share * size, least_s(size, *limits))
+
+
 def sampling_error_s(bench: RigProtocol, way: float, share: float) -> float:
     """Return the largest error of the difference of two times from `GroupPositions.when` [s]."""
-    model = bench.motor.model
+    model, made = bench.motor.model, share * abs(way)
     slowest = min(model.acceleration_max, model.deceleration)
-    speed = min(sqrt(2.0 * slowest * share * abs(way)), model.velocity_max)
-    return 2.0 * bench.facts.following / speed + 2.0 * FINE_S
+    speed = min(sqrt(2.0 * slowest * made), model.velocity_max)
+    bent = cbrt(4.5 * jerk_of(bench.motor) * made**2)  # j t³/6 makes the share, at j t²/2
+    return 2.0 * bench.facts.following / min(speed, bent) + 2.0 * FINE_S
 
 
 class PositionWatch:

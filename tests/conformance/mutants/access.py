@@ -191,6 +191,13 @@ def closed_for_ever():
         yield
 
 
+@mutant("cia402", "CLOSE-03")
+def closed_with_its_hardware_alone():
+    """A closed motor obeys as long as another user keeps the hardware open."""
+    with replaced(LogicalMotor, "close", lambda _: lambda logical: None):
+        yield
+
+
 @mutant("software", "HOME-04")
 def zero_is_lost_with_the_cable():
     """Whenever the node is found again, its counter is taken for new; the reference stays."""

@@ -9,6 +9,7 @@ from motorhil.motorapi.adaptations.modbus.client import ModbusLine
 from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError, MotorError
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor, RunStatus
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -85,6 +86,17 @@ def a_fault_is_told_from_memory():
         return told
 
     with replaced(PolledMotor, "_read_fault", forgetful):
+        yield
+
+
+@mutant("leadshine", "FAULT-08")
+def who_resets_a_fault_is_to_blame():
+    """A motion whose fault is reset before a wait hears of it counts as interrupted."""
+
+    def interrupted(_):
+        return lambda self, error, now_ns: self.end(f"{error}", now_ns, RunStatus.FAILED)
+
+    with replaced(PhysicalMotor, "fail", interrupted):
         yield
 
 

@@ -63,7 +63,6 @@ CALLS = {
     "latest": Motor.latest,
     "low_level": lambda motor: motor.low_level(timeout_s=1.0).__enter__(),
     "repr": repr,
-    "close": Motor.close,
 }
 
 
@@ -126,6 +125,7 @@ def test_hook_exception_becomes_a_plugin_error(runtime, hook, planted):
     motors = [broken(PlainHwMotor(runtime, node, bus)) for node in (1, 2)]
     raised = failures_of(CALLS, motors[0])
     raised |= {f"group {k}": e for k, e in failures_of(GROUP_CALLS, MotorGroup(*motors)).items()}
+    raised |= failures_of({"close": Motor.close}, motors[0])
     assert [name for name, error in raised.items() if not isinstance(error, MotorError)] == []
     plugin = [error for error in raised.values() if isinstance(error, PluginError)]
     for error in plugin:

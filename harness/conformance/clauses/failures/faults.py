@@ -191,6 +191,46 @@ def fault_at_rest_is_reported(bench: RigProtocol) -> None:
 
 
 @clause(
+    "FAULT-08",
+    Level.L2,
+    needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},
+    bench={Ability.FAULT, Ability.AFRESH},
+    source="Motor.wait_until_done: DeviceFault, the drive has a fault; Ending.FAILED: by a fault",
+)
+def reset_fault_leaves_cause_to_wait(bench: RigProtocol) -> None:
+    """A motion that a fault has ended fails with that fault, although it is reset at once."""
+    way = 2.0 * long_move(bench)
+
+    def wait() -> None:
+        finish(bench, bench.motor, shortest_s(bench.motor, way))
+
+    for waits in (True, False):
+        bench.afresh()
+        motor = bench.motor
+        begin_move(bench, motor, way, 0.2 * shortest_s(motor, way))
+        party = bench.runtime.spawn("waiter", wait) if waits else None
+        rest_for(bench, 0.1 * shortest_s(motor, way))
+        code = bench.fail(motor)
+        for _ in range(round(_BACK_S / _SOON_S)):
+            refused = failure_of(motor.reset_fault)
+            rest_for(bench, _SOON_S)
+            if refused is None and motor.state() is MotorState.DISABLED:
+                break
+        expect(refused is None, f"its short fault cannot be reset: {refused}")
+        error: BaseException | None
+        if party is None:
+            error = failure_of(wait)
+        else:
+            expect(party.join(_BOUND_S), "the wait does not end")
+            error = party.error
+        expect(
+            isinstance(error, DeviceFault) and error.code == code,
+            f"{'during' if waits else 'before'} a wait, fault {code:04X}h was reset at once: the"
+            f" wait ended with {error!r}",
+        )
+
+
+@clause(
     "FAULT-05",
     Level.L5,
     needs={Capability.FAULTS, Capability.POSITION_TRAJECTORY},

@@ -2,13 +2,13 @@
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, ramp_s
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
     expect_unmoved,
     finish,
     follow,
-    least_s,
     long_move,
     move_exactly,
     rest_for,
@@ -38,14 +38,15 @@ _READINGS = 40
 def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
     """Measured velocity is the velocity of the output, in sign and size, also at rest."""
     motor, model = bench.motor, bench.motor.model
+    ramps = model.acceleration_max, model.deceleration
     for share in (0.5, -0.25):
         asked = share * model.velocity_max
-        ramps = 0.5 * asked * abs(asked) * (1 / model.acceleration_max + 1 / model.deceleration)
-        way = 1.5 * asked * _SAMPLES * 0.1 + ramps
+        up_s, down_s = (ramp_s(abs(asked), one, jerk_of(motor)) for one in ramps)
+        way = 1.5 * asked * _SAMPLES * 0.1 + 0.5 * asked * (up_s + down_s)
         limits = DerivativeLimits(first=abs(asked))
-        duration_s = least_s(way, abs(asked), model.acceleration_max, model.deceleration)
+        duration_s = least_s(way, abs(asked), *ramps, jerk_of(motor))
         follow(motor, TrapezoidalTrajectory(way, limits=limits))
-        rest_for(bench, abs(asked) / model.acceleration_max + 0.1)
+        rest_for(bench, up_s + 0.1)
         begun_ns, before = bench.runtime.now_ns(), bench.true_position(motor)
         measured = []
         for _ in range(_SAMPLES):

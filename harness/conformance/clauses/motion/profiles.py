@@ -1,13 +1,13 @@
 """L1: profiles between states, under limits of their own: of slope, of jerk, of position."""
 
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
-from math import isclose, sqrt
+from math import inf, isclose, sqrt
 from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, ramp_s, ramped, shortest
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
@@ -18,12 +18,10 @@ from motorhil.harness.conformance.clauses.helpers import (
     finish,
     follow,
     half_move,
-    least_s,
     position_of,
     rest_for,
     sample_positions,
     shortest_s,
-    trapezoid,
     worst_deviation,
 )
 from motorhil.harness.rig.config.conformance import Capability
@@ -36,7 +34,6 @@ from motorhil.motorapi import (
 )
 
 _AFTER_S: Final = 0.2
-_STEP_S: Final = 0.005
 
 
 @clause(
@@ -53,23 +50,22 @@ def velocity_ramps_keep_limits_of_each_direction(bench: RigProtocol) -> None:
     falling, rising = 0.2 * gentle, 0.4 * gentle
     top = 0.4 * model.velocity_max
     motor.enable()
+    jerk = jerk_of(motor, ControlVariable.VELOCITY)
     speed = 0.0
     for change in (top, -0.5 * top, -1.5 * top, 0.5 * top, 0.5 * top):
         rate = rising if change > 0.0 else falling
         ramp = TrapezoidalTrajectory(change, limits=DerivativeLimits(first=(-falling, rising)))
-        duration_s = abs(change) / rate
+        duration_s = ramp_s(abs(change), rate, jerk)
+        demand = ramped(change, duration_s, rate, jerk)
         before, asked_ns = position_of(bench, motor), bench.runtime.now_ns()
         follow(motor, ramp, ControlVariable.VELOCITY)
         late_s = elapsed_s(bench, asked_ns) + max(map(abs, bench.facts.latency_s)) + 0.01
         samples = sample_positions(bench, motor, duration_s + _AFTER_S)
         finish(bench, motor, duration_s)
         bound = bench.facts.following + 0.02 * abs(change) * duration_s
-        slope = rate if change > 0.0 else -rate
         bound += late_s * top  # it begins between the command and a latency after its return
         for at_s, position in samples:
-            ramp_s = min(at_s, duration_s)
-            wanted = speed * at_s + slope * ramp_s * (at_s - 0.5 * ramp_s)
-            off = position - before - wanted
+            off = position - before - speed * at_s - demand(at_s)
             expect(
                 abs(off) <= bound,
                 f"{at_s:.3f} s into a ramp from {speed:g} by {change:g} {model.unit}/s at"
@@ -91,10 +87,10 @@ def velocity_ramp_bends_as_allowed(bench: RigProtocol) -> None:
     """A limit of the second derivative of a velocity is refused, or used: no faster, no slower."""
     motor, model = bench.motor, bench.motor.model
     rate = 0.4 * min(model.acceleration_max, model.deceleration)
-    bend, top = 4.0 * rate, 0.4 * model.velocity_max
+    bend, top = min(4.0 * rate, model.jerk_max or inf), 0.4 * model.velocity_max
     motor.enable()
     for change in (top, -top):
-        duration_s = least_s(change, rate, bend, bend)
+        duration_s = ramp_s(abs(change), rate, bend)
         ramp = TrapezoidalTrajectory(change, limits=DerivativeLimits(first=rate, second=bend))
         before = position_of(bench, motor)
         try:
@@ -106,23 +102,11 @@ def velocity_ramp_bends_as_allowed(bench: RigProtocol) -> None:
         expect_speed(bench, motor, change, 0.1, f"after {ramp!r}")
         motor.stop()
         finish(bench, motor)
-        way = _integral(trapezoid(change, duration_s, bend, bend))
+        way = ramped(change, duration_s, rate, bend)
         shown = [(at_s, position - before) for at_s, position in samples]
         worst = worst_deviation(bench, shown, way)
         bound = bench.facts.following + 0.02 * abs(change) * duration_s
         expect(worst <= bound, f"{ramp!r}: {worst:.5g} {model.unit} off; limit {bound:.5g}")
-
-
-def _integral(value: Callable[[float], float]) -> Callable[[float], float]:
-    """Return the integral over time from 0, by the trapezoidal rule."""
-
-    def way(until_s: float) -> float:
-        steps = max(1, round(until_s / _STEP_S))
-        width_s = max(0.0, until_s) / steps
-        inner = sum(value(number * width_s) for number in range(1, steps))
-        return width_s * (inner + 0.5 * (value(0.0) + value(until_s)))
-
-    return way
 
 
 @clause(
@@ -136,7 +120,7 @@ def jerk_limit_is_used_or_refused(bench: RigProtocol) -> None:
     """A limit of the third derivative is refused, or used: no faster, no slower than it allows."""
     motor, model = bench.motor, bench.motor.model
     gentle = min(model.acceleration_max, model.deceleration)
-    jerk = 2.0 * gentle
+    jerk = min(2.0 * gentle, model.jerk_max or inf)
     motor.enable()
     for way in (0.05 * gentle, -0.05 * gentle):
         # Never at the largest velocity or acceleration: four equal parts of constant jerk.
@@ -153,23 +137,9 @@ def jerk_limit_is_used_or_refused(bench: RigProtocol) -> None:
         samples = sample_positions(bench, motor, 4.0 * quarter_s + _AFTER_S)
         finish(bench, motor)
         expect_moved(bench, motor, before, way, "with a limit of jerk")
-        side = 1.0 if way > 0.0 else -1.0
-
-        def wanted(at_s: float, side: float = side, quarter_s: float = quarter_s) -> float:
-            return side * jerk * _double_s(min(max(at_s / quarter_s, 0.0), 4.0)) * quarter_s**3
-
+        wanted = shortest(way, model.velocity_max, gentle, gentle, jerk)
         shown = [(at_s, position - before) for at_s, position in samples]
         expect_tracks(bench, shown, wanted, f"{limited!r}")
-
-
-def _double_s(at: float) -> float:
-    """Return the way of jerk 1, -1, -1 and 1, each for a time of 1."""
-    if at > 2.0:
-        return 2.0 - _double_s(4.0 - at)
-    if at <= 1.0:
-        return at**3 / 6.0
-    more = at - 1.0
-    return 1.0 / 6.0 + 0.5 * more + 0.5 * more**2 - more**3 / 6.0
 
 
 @clause(

@@ -2,6 +2,7 @@
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.demands import least_s
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     distance_to_top_speed,
@@ -12,7 +13,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_unmoved,
     fastest,
     finish,
-    least_s,
     long_move,
     move,
     position_of,

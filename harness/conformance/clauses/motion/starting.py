@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, Violated, clause, expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     braking_distance,
@@ -16,7 +17,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_speed,
     finish,
     follow,
-    least_s,
     long_move,
     move,
     quiet_settings,
@@ -83,7 +83,7 @@ def start_uses_latest_settings(bench: RigProtocol) -> None:
             for most in (model.velocity_max, model.acceleration_max, model.deceleration)
         )
         limits = DerivativeLimits(first=velocity, second=(-down, up))
-        expected_s = least_s(way, velocity, up, down)
+        expected_s = least_s(way, velocity, up, down, jerk_of(motor))
         follow(motor, TrapezoidalTrajectory(way, limits=limits))
         taken_s = finish(bench, motor, expected_s)
         early_s, late_s = bench.facts.latency_s

@@ -7,6 +7,7 @@ from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, ramp_s
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     begin_move,
@@ -19,7 +20,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     fastest,
     finish,
     follow,
-    least_s,
     long_move,
     midway_s,
     move,
@@ -153,11 +153,11 @@ def stop_uses_deceleration_of_motion(bench: RigProtocol) -> None:
     motor, model = bench.motor, bench.motor.model
     motor.enable()
     velocity = model.velocity_max
-    ramp_s = velocity / model.acceleration_max
-    way = 2.0 * velocity * ramp_s + velocity
+    rise_s = ramp_s(velocity, model.acceleration_max, jerk_of(motor))
+    way = 2.0 * velocity * rise_s + velocity
     for _ in range(2):
         follow(motor, TrapezoidalTrajectory(way))
-        rest_for(bench, 1.5 * ramp_s)
+        rest_for(bench, 1.5 * rise_s)
         stopped_at = bench.true_position(motor)
         motor.stop()
         samples = sample_positions(bench, motor, 2.0 * velocity / model.deceleration)
@@ -192,7 +192,8 @@ def _expect_own_ramp(bench: RigProtocol, way: float) -> None:
     finish(bench, motor, velocity / gentle)
     made = bench.true_position(motor) - stopped_at
     late = velocity * (bench.facts.latency_s[1] + _LOOK_S)
-    most = 1.2 * braking_distance(motor, velocity) + late
+    # A set-point that misses its drive cycle makes the next one a fifth faster: 1.2 squared.
+    most = 1.5 * braking_distance(motor, velocity) + late
     expect(
         made <= most,
         f"stopped from {velocity:g} {model.unit}/s in {made:.4g} {model.unit}, after a motion that"
@@ -209,12 +210,12 @@ def _expect_own_ramp(bench: RigProtocol, way: float) -> None:
 def stop_ends_velocity_setpoint(bench: RigProtocol) -> None:
     """During a velocity set-point, a stop, halt or quick stop ends at rest."""
     motor = bench.motor
-    ramp_s = motor.model.velocity_max / motor.model.acceleration_max
+    rise_s = motor.model.velocity_max / motor.model.acceleration_max
     for stop, sign in ((Motor.stop, 1.0), (Motor.halt, -1.0), (Motor.quick_stop, 1.0)):
         turn(motor, 0.4 * sign * motor.model.velocity_max)
-        finish(bench, motor, 2.0 * ramp_s)
+        finish(bench, motor, 2.0 * rise_s)
         stop(motor)
-        finish(bench, motor, ramp_s)
+        finish(bench, motor, rise_s)
         expect_rest(bench, motor, f"after {stop.__name__}() of a velocity set-point")
         held = position_of(bench, motor)
         rest_for(bench, 0.3)

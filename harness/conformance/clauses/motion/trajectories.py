@@ -3,9 +3,20 @@
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from math import inf
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.demands import (
+    Demand,
+    jerk_of,
+    least_s,
+    ramp_s,
+    ramped,
+    shortest,
+    slowed,
+    trapezoid,
+)
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_at,
@@ -17,7 +28,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     failure_of,
     finish,
     follow,
-    least_s,
     long_move,
     move,
     position_of,
@@ -26,7 +36,6 @@ from motorhil.harness.conformance.clauses.helpers import (
     sample_positions,
     shortest_s,
     torque_of,
-    trapezoid,
     worst_deviation,
 )
 from motorhil.harness.rig.config.conformance import Capability
@@ -57,12 +66,9 @@ _FEW_S = 0.02  # a few samples
 def _expect_profile(
     bench: RigProtocol,
     trajectory: TrapezoidalTrajectory,
-    *allowed: tuple[float, tuple[float, float]],
+    *allowed: tuple[float, Demand],
 ) -> None:
-    """Check that a relative trajectory is followed as one of these profiles.
-
-    A profile is its duration [s] and its ramps up and down [U/s²].
-    """
+    """Check that a relative trajectory is followed as one of these demands, of so many seconds."""
     motor = bench.motor
     motor.enable()
     before = position_of(bench, motor)
@@ -70,12 +76,11 @@ def _expect_profile(
     longest_s = max(duration_s for duration_s, _ in allowed)
     samples = [(t, at - before) for t, at in sample_positions(bench, motor, longest_s + _AFTER_S)]
     finish(bench, motor)
-    profiles = [trapezoid(trajectory.final, duration_s, *ramps) for duration_s, ramps in allowed]
-    nearest = min(profiles, key=lambda profile: worst_deviation(bench, samples, profile))
+    demands = [demand for _, demand in allowed]
+    nearest = min(demands, key=lambda demand: worst_deviation(bench, samples, demand))
     expect_tracks(bench, samples, nearest, f"{trajectory!r}")
-    other = trapezoid(trajectory.final, 1.3 * longest_s, *allowed[0][1])
     reached(
-        worst_deviation(bench, samples, other) > bench.facts.following,
+        worst_deviation(bench, samples, slowed(nearest, 1.0 / 1.3)) > bench.facts.following,
         "a move long enough to distinguish two profiles",
     )
 
@@ -114,11 +119,14 @@ def absolute_trajectory_ends_at_final_value(bench: RigProtocol) -> None:
 def simple_trajectory_takes_given_duration(bench: RigProtocol) -> None:
     """In both directions, a simple trajectory of given duration is followed at every instant."""
     model, way = bench.motor.model, 0.7 * long_move(bench)
-    ramps = model.acceleration_max, model.deceleration
+    limits = model.acceleration_max, model.deceleration, jerk_of(bench.motor)
     duration_s = 1.8 * shortest_s(bench.motor, way)
     for signed in (way, -way):
         trajectory = TrapezoidalTrajectory(signed, duration_s=duration_s)
-        _expect_profile(bench, trajectory, (duration_s, ramps))
+        allowed = [trapezoid(signed, duration_s, *limits)]
+        if limits[-1] != inf:  # a slower peak, or more time for all
+            allowed.append(slowed(shortest(signed, model.velocity_max, *limits), 1.0 / 1.8))
+        _expect_profile(bench, trajectory, *((duration_s, one) for one in allowed))
 
 
 @clause(
@@ -135,12 +143,9 @@ def simple_trajectory_uses_its_limits(bench: RigProtocol) -> None:
     velocity = 0.5 * model.velocity_max
     limits = DerivativeLimits(first=velocity, second=(-down, up))
     gentle = min(up, down)  # of a drive with one ramp for both
-    _expect_profile(
-        bench,
-        TrapezoidalTrajectory(way, limits=limits),
-        (least_s(way, velocity, up, down), (up, down)),
-        (least_s(way, velocity, gentle, gentle), (gentle, gentle)),
-    )
+    bounds = [(velocity, *ramps, jerk_of(bench.motor)) for ramps in ((up, down), (gentle, gentle))]
+    allowed = [(least_s(way, *one), shortest(way, *one)) for one in bounds]
+    _expect_profile(bench, TrapezoidalTrajectory(way, limits=limits), *allowed)
 
 
 @clause(
@@ -158,6 +163,8 @@ def complex_trajectory_is_followed(bench: RigProtocol) -> None:
     duration_s = 2.0
     gentle = min(model.acceleration_max, model.deceleration)
     size = min(0.5 * long_move(bench), 0.4 * model.velocity_max, 0.1 * gentle)
+    if model.jerk_max is not None:
+        size = min(size, 0.04 * model.jerk_max)  # 195.6 of it by the time cubed
     motor.enable()
     follow(motor, TrapezoidalTrajectory(0.2 * size))
     finish(bench, motor, shortest_s(motor, size))
@@ -196,7 +203,8 @@ def complex_trajectory_is_led_in_within_limits(bench: RigProtocol) -> None:
     motor.enable()
     way = 0.1 * long_move(bench)
     time_s = max(_LED_S, 8.0 * shortest_s(motor, way))  # slow: the lead-in takes whole periods
-    lead_s = shortest_s(motor, reach)
+    limits = model.velocity_max, model.acceleration_max, model.deceleration
+    lead_s = least_s(reach, *limits)
     for away in (reach, -reach):
         cubic = (motor.position() + away, 0.0, 3.0 * way / time_s**2, -2.0 * way / time_s**3)
         before = position_of(bench, motor)
@@ -211,8 +219,7 @@ def complex_trajectory_is_led_in_within_limits(bench: RigProtocol) -> None:
         late = [one for one in samples if one[0] > _AFTER_S]
         if worst_deviation(bench, late, step) <= max(bench.facts.following, bench.facts.window):
             continue  # its control evens out the difference
-        lead = trapezoid(away, lead_s, model.acceleration_max, model.deceleration)
-        wanted = _led(lead_s, way, time_s, lead)
+        wanted = _led(lead_s, way, time_s, shortest(away, *limits))
         expect_tracks(bench, samples, wanted, "a complex trajectory, led in")
 
 
@@ -243,7 +250,10 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
     """Velocity trajectories reach their velocity in the given time, and keep it."""
     motor = bench.motor
     motor.enable()
-    asked, duration_s = 0.5 * motor.model.velocity_max, 1.0
+    model = motor.model
+    rate, jerk = model.acceleration_max, jerk_of(motor, ControlVariable.VELOCITY)
+    asked = 0.5 * model.velocity_max
+    duration_s = max(1.0, 1.1 * ramp_s(asked, rate, jerk))
     before = position_of(bench, motor)
     ramp = TrapezoidalTrajectory(asked, duration_s=duration_s)
     follow(motor, ramp, ControlVariable.VELOCITY)
@@ -254,11 +264,9 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
     finish(bench, motor)
     unit = motor.model.unit
     spare_s = 0.05 + max(map(abs, bench.facts.latency_s))
+    made = ramped(asked, duration_s, rate, jerk)
     for at_s, position in samples:
-        early, late = (
-            0.5 * asked * min(t, duration_s) ** 2 / duration_s + asked * max(0.0, t - duration_s)
-            for t in (at_s + spare_s, max(0.0, at_s - spare_s))
-        )
+        early, late = made(at_s + spare_s), made(at_s - spare_s)
         spare = bench.facts.following
         expect(
             late - spare <= position - before <= early + spare,
@@ -314,6 +322,8 @@ def complex_velocity_position_is_integral(bench: RigProtocol) -> None:
     duration_s = 2.0
     gentle = min(model.acceleration_max, model.deceleration)
     peak = min(0.4 * model.velocity_max, 0.2 * gentle * duration_s)  # slope <= 4
+    if model.jerk_max is not None:
+        peak = min(peak, 0.1 * model.jerk_max * duration_s**2)  # bend 8
     motor.enable()
     before = position_of(bench, motor)
     hump = Polynomial((0.0, 4.0, -4.0)).restricted(0.0, 1.0)  # up to 1 and back
@@ -383,10 +393,12 @@ def last_sample_of_stream_is_executed(bench: RigProtocol) -> None:
     from motorhil.motorapi.functions import Polynomial
 
     motor, model = bench.motor, bench.motor.model
-    gentle = min(model.acceleration_max, model.deceleration)
+    steepest = 0.5 * min(model.acceleration_max, model.deceleration)
+    if model.jerk_max is not None:
+        steepest = min(steepest, 0.4 * model.jerk_max * _FEW_S)
     motor.enable()
     for sign in (1.0, -1.0):
-        final = sign * 0.5 * gentle * _FEW_S  # of a parabola, steepest at its end
+        final = sign * steepest * _FEW_S  # of a parabola, twice as steep at its end
         rise = Polynomial((0.0, 0.0, final / _FEW_S**2)).restricted(0.0, _FEW_S)
         follow(motor, ComplexTrajectory(rise), ControlVariable.VELOCITY)
         finish(bench, motor, _FEW_S)

@@ -21,9 +21,9 @@ PATTERNS: Final = (
     *("motorapi/*.py", "motorapi/planning/*.py", "motorapi/synchronization/*.py"),
     *("motorapi/ownership/*.py", "motorapi/api/*.py", "motorapi/adaptations/*/*.py"),
     *("emulators/motor_drive.py", "emulators/cia402/*.py", "emulators/cia402/*/*.py"),
-    "emulators/firmware/*.py",
+    *("emulators/firmware/*.py", "emulators/canopen/*.py"),
 )
-"""Sources of mutants: whatever motors and the emulated CiA 402 drive do."""
+"""Sources of mutants: whatever motors and the emulated CiA 402 drive, a CANopen node, do."""
 
 
 @dataclass(frozen=True, slots=True)

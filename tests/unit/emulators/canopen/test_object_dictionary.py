@@ -164,3 +164,26 @@ def test_variables_are_iterated_by_index_and_sub_index():
     ]  # fmt: skip
     assert od.subindices(0x1018) == (0, 1, 2)
     assert od.indices() == (0x1018, 0x6040)
+
+
+def test_dictionaries_of_one_pattern_share_nothing():
+    pattern = ObjectDictionary()
+    for subindex in (2, 0, 1):
+        made = pattern.add(Variable(0x2000, subindex, DataType.UNSIGNED8, "x", limits=(1, 9)))
+        made.set_default(5)
+    pattern.get(0x2000, 1).follows_node_id = True
+    first, second = ObjectDictionary(pattern), ObjectDictionary(pattern)
+    first.node_id = 1
+    assert (first.indices(), first.subindices(0x2000)) == ((0x2000,), (0, 1, 2))
+    assert first.integer(0x2000, 2, 0) == 5
+    assert first.get(0x2000, 2).download(b"\x07") == 0
+    assert first.get(0x2000, 2).download(b"\x0a") != 0  # beyond its limit
+    first.add(Variable(0x2001, 0, DataType.UNSIGNED8, "y"))
+    first.follow(3)
+    assert [(one.index, one.subindex, one.value) for one in second] == [
+        (0x2000, subindex, 5) for subindex in (0, 1, 2)
+    ]
+    assert [one.value for one in first] == [5, 5, 7, 0]
+    assert [one.default for one in first] == [5, 7, 5, 0]
+    first.reset()
+    assert [one.value for one in first] == [5, 7, 5, 0]

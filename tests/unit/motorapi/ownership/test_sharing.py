@@ -9,6 +9,7 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeviceFault,
+    LinkError,
     MotionInterrupted,
     Motor,
     MotorBusyError,
@@ -54,6 +55,28 @@ def test_closed_or_dropped_hardware_object_is_replaceable(runtime, hw):
     del second
     gc.collect()
     PlainHwMotor(runtime, node=1)
+
+
+OPERATIONS = (
+    *(Motor.start, Motor.enable, Motor.disable, Motor.reset_fault, Motor.home, Motor.stop),
+    *(Motor.quick_stop, Motor.halt, Motor.position, Motor.velocity, Motor.fault),
+    *(Motor.is_referenced, lambda motor: motor.reserve().__enter__()),
+    lambda motor: motor.low_level().__enter__(),
+)
+
+
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_closed_motor_is_refused_while_another_stays_open(runtime, logical, operation):
+    closed, other = logical
+    for motor in logical:
+        follow(motor, 1.0)
+    closed.close()
+    closed.close()
+    with pytest.raises(LinkError, match="drive: this motor was closed; make a new one"):
+        operation(closed)
+    other.start()
+    other.wait_until_done()
+    assert other.position() == 1.0
 
 
 def test_one_bus_has_one_key_however_often_opened():

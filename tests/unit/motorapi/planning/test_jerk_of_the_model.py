@@ -66,6 +66,19 @@ def test_position_rises_with_the_jerk_of_the_model(kind, own):
             motor.set_trajectory(TrapezoidalTrajectory(1.0, limits=DerivativeLimits(third=21.0)))
 
 
+@EVERY_KIND
+def test_progress_with_jerk_is_of_the_distance(kind):
+    with opened(kind) as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        motor.set_trajectory(TrapezoidalTrajectory(3.0))
+        made = course(rig, motor)[-1]  # 0.7 % of it in a tenth of its time
+        progress = motor.progress()
+        assert progress is not None
+        assert progress.fraction == pytest.approx(made / 3.0, abs=0.01)
+
+
 @pytest.mark.parametrize("kind", [KINDS["ideal"], KINDS["software"]], ids=["ideal", "software"])
 def test_velocity_rises_with_the_jerk_of_the_model(kind):
     """v = j t² / 2, so the way is j t³ / 6."""

@@ -332,8 +332,10 @@ def test_closed_motor_is_offline_and_its_motion_ended(open_rig: OpenRig):
     for ask in (left.is_done, left.wait_until_done):
         with pytest.raises(MotionInterrupted, match=r"ended by close\(\) of can0 node 1 at 0\."):
             ask()
-    with pytest.raises(LinkError, match="can0 node 1: this hardware object is closed"):
+    with pytest.raises(LinkError, match="left: this motor was closed"):
         left.position()
+    with pytest.raises(LinkError, match="can0 node 1: this hardware object is closed"):
+        left.logical.hooks.read_position()
     assert "closed" in repr(left.hardware)  # type: ignore[attr-defined]
 
 
