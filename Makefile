@@ -103,9 +103,10 @@ mutants: $(READY)  ## every adaptation broken on purpose against every clause; w
 rule-mutants: $(READY)  ## a sample of small changes of the sources against the clauses; RULES="--seed N --count N"
 	MOTORHIL_PURE=1 PYTHONPYCACHEPREFIX=build/bytecode $(BIN)/python -m tests.conformance.mutants.by_rule $(RULES)
 
-clauses: $(READY)  ## docs/reference/*clauses.md, every clause for adaptations and drives
+clauses: $(READY)  ## docs/reference/*clauses.md, every clause for adaptations and drives; api-names.md
 	$(BIN)/python -m motorhil.harness.conformance.kit > docs/reference/clauses.md
 	$(BIN)/python -m motorhil.harness.conformance.drives.kit > docs/reference/drive-clauses.md
+	$(BIN)/python -m motorhil.harness.api_names > docs/reference/api-names.md
 
 golden: $(READY)  ## the golden recordings again, where a rig does something else today
 	$(BIN)/python -m tests.support.golden

@@ -10,8 +10,11 @@ from typing import Final, NamedTuple
 CAN_FRAME_SIZE: Final = 16
 CANFD_FRAME_SIZE: Final = 72
 EFF: Final = 0x8000_0000
+"""Flag of a can_id: extended frame format, an identifier of 29 bits."""
 RTR: Final = 0x4000_0000
+"""Flag of a can_id: remote transmission request."""
 ERR: Final = 0x2000_0000
+"""Flag of a can_id: error message of the controller."""
 EFF_MASK: Final = 0x1FFF_FFFF
 SFF_MASK: Final = 0x7FF
 BRS: Final = 1

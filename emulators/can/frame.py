@@ -14,17 +14,23 @@ from struct import Struct
 from typing import Final
 
 FRAME_BYTES: Final = 16
-EFF_FLAG: Final = 0x8000_0000  # extended frame format: 29-bit identifier
-RTR_FLAG: Final = 0x4000_0000  # remote transmission request
-ERR_FLAG: Final = 0x2000_0000  # error message, never on a bus
+EFF_FLAG: Final = 0x8000_0000
+"""Flag of a can_id: extended frame format, an identifier of 29 bits."""
+RTR_FLAG: Final = 0x4000_0000
+"""Flag of a can_id: remote transmission request."""
+ERR_FLAG: Final = 0x2000_0000
+"""Flag of a can_id: error message of the controller, never on a bus."""
 SFF_MASK: Final = 0x7FF
 EFF_MASK: Final = 0x1FFF_FFFF
 
 FD_FRAME_BYTES: Final = 72
-BRS: Final = 0x01  # flags of an FD frame: bit rate switch
+"""The size of a canfd_frame [bytes]."""
+BRS: Final = 0x01
+"""Flag of an FD frame: bit rate switch."""
 ESI: Final = 0x02  # the sender is error passive
 FDF: Final = 0x04  # marks an FD frame; not every program sets it
-FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # by DLC
+FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""The lengths that the data of an FD frame can have, by DLC [bytes]."""
 
 _FRAME: Final = Struct("<IB3x8s")
 _FD_FRAME: Final = Struct("<IBB2x64s")

@@ -25,6 +25,7 @@ from motorhil.emulators.firmware.timeline import RESTS, Timeline
 from motorhil.emulators.plant.dc_motor import PI, MotorPlant
 
 NEVER_NS: Final = 1 << 61  # a small int to the compiler
+"""A time that never comes [ns]."""
 NEVER: Final = -1.0  # end of PROFILE_ACTIVE for a profile that never sets it
 NO_LIMIT: Final = 1e300  # a threshold or velocity that is never reached
 

@@ -88,6 +88,42 @@ PLANTS = [
     ),
     ("adaptations", "motorapi/adaptations/novelty.py", "", "novelty"),
     (
+        "kinds",
+        "motorapi/adaptations/mit/motor.py",
+        "from motorhil.motorapi.motor import Motor",
+        "mit.motor -> motorhil.motorapi.motor",
+    ),
+    (
+        "kinds",
+        "motorapi/adaptations/vesc/motor.py",
+        "import motorhil.motorapi.api.can_drive",
+        "vesc.motor -> motorhil.motorapi.api.can_drive",
+    ),
+    (
+        "kinds",
+        "motorapi/adaptations/dryve/hardware.py",
+        "import motorhil.motorapi.adaptations.modbus.unit",
+        "dryve.hardware -> motorhil.motorapi.adaptations.modbus.unit",
+    ),
+    (
+        "kinds",
+        "emulators/rmd/drive.py",
+        "from motorhil.emulators.firmware import axis",
+        "rmd.drive -> motorhil.emulators.firmware.axis",
+    ),
+    (
+        "kinds",
+        "emulators/moteus/drive.py",
+        "import motorhil.settings",
+        "moteus.drive -> motorhil.settings",
+    ),
+    (
+        "names-for-applications",
+        "motorapi/adaptations/rmd/motor.py",
+        "from motorhil.motorapi import Motor",
+        "rmd.motor -> motorhil.motorapi",
+    ),
+    (
         "modbus-without-can",
         "motorapi/adaptations/modbus/client.py",
         "import motorhil.motorapi.adaptations.canopen.bus",

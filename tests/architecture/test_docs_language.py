@@ -10,7 +10,7 @@ import pytest
 from tests.architecture.pages import PAGES, name_of
 
 WORDS_MAX = 20
-GENERATED = ("docs/reference/clauses.md", "docs/reference/drive-clauses.md")
+GENERATED = tuple(f"docs/reference/{n}.md" for n in ("api-names", "clauses", "drive-clauses"))
 OPENINGS = ("What", "Who", "Whose", "Whether", "That", "It", "Of")
 UNWANTED = ("somebody", "nobody", "is told", "are told", "goes on", "go on", "aloud")
 

@@ -84,6 +84,7 @@ GOLDEN: dict[str, tuple[str, str, Callable[[Rig], None]]] = {
         name: (what, (RIGS / f"{name}.toml").read_text(), algorithms)
         for name, what in (
             ("mit", "two Damiao drives with MIT frames"),
+            ("robstride", "two RobStride drives"),
             ("vesc", "two VESCs"),
             ("rmd", "two RMDs"),
             ("dynamixel", "two Dynamixel servos on a serial line"),

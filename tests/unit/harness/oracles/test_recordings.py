@@ -37,6 +37,7 @@ HELD = {
     "moteus": {"limit-velocity"},
     "oriental_az": {"limit-velocity"},
     "rmd": {"limit-velocity"},
+    "robstride": {"limit-velocity"},
     "vesc": {"limit-velocity"},
 }
 

@@ -15,7 +15,7 @@ from motorhil.traces.semantics.diff import Tolerance
 from tests.support.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.support.recordings.altered import traffic
 
-FRAMES_ONLY = ("dynamixel", "mit", "moteus", "rmd", "vesc")
+FRAMES_ONLY = ("dynamixel", "mit", "moteus", "rmd", "robstride", "vesc")
 """Recordings without CANopen or Modbus, which device and host are replayed by."""
 
 
