@@ -126,7 +126,7 @@ def test_speed_option_shortens_pauses(folder, say):
     recording(folder / "a.mcap", [10 * MS, 1_010 * MS], {"run": {}})
     (folder / "empty.toml").write_text(EMPTY.format(1_000_000))
     words = ("replay", "a.mcap", "--as", "host", "--rig", "empty.toml", "-o", "live.mcap")
-    assert say(*words, "--speed", "10")[0] == 0
+    assert say(*words, "--speed", "10")[0] == 3  # no device is there, so nothing was compared
     first, second = (time_ns for time_ns, _ in traffic("live.mcap", "/can/can0"))
     assert 99 * MS < second - first < 101 * MS
 

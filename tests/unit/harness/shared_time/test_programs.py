@@ -139,7 +139,7 @@ def test_programs_share_line_and_make_one_record(run, tmp_path, line):
 def test_event_loops_of_two_programs_make_one_record(run, tmp_path):
     base = (EXAMPLES / "two_wheels.toml").read_text()
     base = base.replace('"wheel_model.toml"', f'"{EXAMPLES / "wheel_model.toml"}"')
-    command = ("python", str(PROGRAMS / "asyncio_listening.py"))
+    command = ("python", str(PROGRAMS / "unmodified" / "asyncio_listening.py"))
     digests = set()
     for name in ("first", "second"):
         lines, wrong = run(

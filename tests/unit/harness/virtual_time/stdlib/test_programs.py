@@ -9,7 +9,7 @@ from pathlib import Path
 from motorhil import emulators
 from motorhil.traces.digest import digest
 
-HERE = Path(__file__).parents[4] / "support" / "programs"
+HERE = Path(__file__).parents[4] / "support" / "programs" / "unmodified"
 EDS = str(files(emulators) / "eds" / "motorhil_cia402.eds")
 RIG = str(files("motorhil.harness") / "examples" / "two_wheels.toml")
 

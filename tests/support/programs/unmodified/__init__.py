@@ -1,0 +1,1 @@
+"""Programs for hardware, which know nothing of motorhil."""
