@@ -59,6 +59,8 @@ _STATE_AT: Final = 9  # data[1] of the message
 _PASSIVE: Final = RX_PASSIVE | TX_PASSIVE
 _ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
 _BACKLOG_MAX: Final = 65_536
+_PENDING_MAX: Final = 65_536
+_SENT_LOOK: Final = 1_024  # frames from one look at those that wait to the next
 _LONG_NS: Final = 600 * 10**9  # of an endless loop over messages
 _OPEN: dict[str, "tuple[Buses, VirtualRuntime, str]"] = {}
 
@@ -70,8 +72,11 @@ class HostPort(Protocol):
     def name(self) -> str:
         """Its name on the bus."""
 
-    def send(self, frame: bytes) -> None:
+    def send(self, frame: bytes, /) -> None:
         """Queue the frame for the bus."""
+
+    def pending(self) -> int:
+        """Return the number of its frames that are not yet sent."""
 
     def close(self) -> None:
         """Stop deliveries to the application."""
@@ -226,6 +231,7 @@ class EmulatedBus(can.BusABC):
         self._queue = ReceiveQueue(receive_own_messages, _BACKLOG_MAX, fd)
         self._fd = fd
         self._has_received = False
+        self._sent = 0
         self._is_shutdown = True  # until fully open, because BusABC.__del__ reads it
         self._hub: HubLink | None = None
         self._port: HostPort | None = None
@@ -341,6 +347,16 @@ class EmulatedBus(can.BusABC):
             self.transmit(to_frame(msg))
         except ValueError as error:
             raise CanOperationError(str(error)) from error
+        self._sent += 1
+        if self._sent % _SENT_LOOK == 0 and self._port is not None:
+            self._refuse_flood(self._port.pending())
+
+    def _refuse_flood(self, pending: int) -> None:
+        if pending >= _PENDING_MAX:
+            raise CanOperationError(
+                f"{self.channel_info}: {pending} frames wait for the bus; expected at most "
+                f"{_PENDING_MAX}; let time pass between sends, as frames are sent while you wait"
+            )
 
     def __iter__(self) -> Iterator[Message]:
         """Yield messages for ever, as python-can does; warn once of a loop without an end."""

@@ -12,11 +12,20 @@ from motorhil.motorapi.errors import LinkError
 if TYPE_CHECKING:
     from motorhil.emulators.media.serial_line import SerialLine
     from motorhil.emulators.simulation.endpoints import HostListener
-    from motorhil.harness.python_can.bus import HostPort
     from motorhil.motorapi.runtime.api import Registration, Runtime
 
 DataListener = Callable[[bytes, int], None]
 """Callback for (characters, time when the last one was complete [ns]); b"" ends the connection."""
+
+
+class LinePort(Protocol):
+    """A port of an application on a line."""
+
+    def send(self, data: bytes, /) -> None:
+        """Send these characters."""
+
+    def close(self) -> None:
+        """Stop deliveries to the application."""
 
 
 class Lines(Protocol):
@@ -25,7 +34,7 @@ class Lines(Protocol):
     def serial_line(self, name: str) -> "SerialLine | None":
         """Return the wires of a line, for its times; None on TCP."""
 
-    def add_line_host(self, line: str, name: str, on_data: "HostListener") -> "HostPort":
+    def add_line_host(self, line: str, name: str, on_data: "HostListener") -> LinePort:
         """Return an application's port on the line; on TCP a connection."""
 
 
@@ -77,7 +86,7 @@ class EmulatedLine:
         self._is_over = False  # closed here
         self._reads = True
         self._listeners: list[DataListener] = []
-        self._port: HostPort = world.add_line_host(name, "host", self._receive)
+        self._port: LinePort = world.add_line_host(name, "host", self._receive)
 
     def duration_ns(self, characters: int) -> int:
         """Return the transmission time of this many characters [ns]; 0 on a gateway's line."""

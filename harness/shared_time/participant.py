@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, as_driven
+from motorhil.emulators.simulation.endpoints import HostPort
 from motorhil.emulators.simulation.ownership_notice import unpack_owns
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
@@ -13,7 +14,6 @@ from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, 
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
-    from motorhil.emulators.simulation.endpoints import HostPort
     from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
     from motorhil.emulators.simulation.serial_network import LineHost
     from motorhil.emulators.simulation.world import World
@@ -23,6 +23,8 @@ _FRAME_SIZES: Final = (FRAME_BYTES, FD_FRAME_BYTES)
 _PORTS_MAX: Final = 256
 _PERIODS_MAX: Final = 4096
 _PARTIES_MAX: Final = 1024
+_PENDING_MAX: Final = 65_536
+_SENT_LOOK: Final = 1_024  # frames from one look at those that wait to the next
 
 
 class Seat(Protocol):
@@ -65,6 +67,7 @@ class Participant:
         self.is_gone: bool = False
         self._seat: Final[Seat] = seat
         self._has_turn = False
+        self._sent = 0
         self._ready = records.NO_WAIT
         self._checked = 0
         self._parties: Final[dict[int, VirtualParty]] = {}
@@ -204,6 +207,11 @@ class Participant:
         if len(frame) not in _FRAME_SIZES:
             raise RecordError(f"frame of {len(frame)} bytes")
         port.send(as_driven(frame))
+        self._sent += 1
+        if self._sent % _SENT_LOOK == 0 and isinstance(port, HostPort):
+            waiting = port.pending()
+            if waiting > _PENDING_MAX:
+                raise RecordError(f"{waiting} frames wait for {bus}; at most {_PENDING_MAX}")
 
     def _note(self, record: bytes) -> None:
         bus, port = self._port(record)

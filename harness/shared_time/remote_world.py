@@ -45,6 +45,10 @@ class RemotePort:
         """Queue the frame for the bus, or send these characters of a line."""
         self._link.send(self._head + frame)
 
+    def pending(self) -> int:
+        """Return 0: the rig itself refuses too many frames."""
+        return 0
+
     def close(self) -> None:
         """Stop deliveries to the program; queued frames are still sent."""
         if self._runtime.ports.pop(self.number, None) is not None and self._link.is_open:

@@ -192,3 +192,16 @@ def test_unread_bus_drops_oldest_frames_and_counts_them(rig, monkeypatch):
         rig.run_for(0.01)
         assert two.dropped == 2
         assert two.recv(0.0).arbitration_id == 0x202
+
+
+def test_frames_that_wait_without_end_are_refused(rig, monkeypatch):
+    """A loop that only sends let them grow until no memory was left."""
+    monkeypatch.setattr("motorhil.harness.python_can.bus._PENDING_MAX", 3_000)
+    with emulated() as bus:
+        for _ in range(3_071):
+            bus.send(message(0x100))
+        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait .* at most 3000"):
+            bus.send(message(0x100))
+        rig.run_for(2.0)
+        for _ in range(2_000):
+            bus.send(message(0x100))

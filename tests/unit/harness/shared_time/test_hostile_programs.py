@@ -95,6 +95,25 @@ def test_silent_program_is_told_and_its_connection_closed(tmp_path):
     assert "has kept the turn for 0.2 s" in told[0][2]
 
 
+def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr("motorhil.harness.shared_time.participant._PENDING_MAX", 1_000)
+
+    def bad(path):
+        with joined(path, "bad") as connection:
+            first_turn(connection)
+            connection.send(records.numbered(records.OPEN, 0, "can0"))
+            opened = connection.recv(records.RECORD_MAX)
+            head = records.NUMBERED.pack(records.SEND, records.NUMBERED.unpack_from(opened)[1])
+            try:
+                for _ in range(2_000):
+                    connection.send(head + b"\x01" + bytes(15))
+            except OSError:
+                pass
+
+    left, _ = run_with(tmp_path / "clock", bad)
+    assert "1024 frames wait for can0; at most 1000" in left["bad"]
+
+
 def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
     """A connection that has ended is readable for ever: waits for others must not look at it."""
     asked, seen = [], []
