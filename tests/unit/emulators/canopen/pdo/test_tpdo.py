@@ -2,6 +2,7 @@
 
 import pytest
 
+from motorhil.emulators.canopen.codes import is_restricted
 from tests.support.canopen.node_bench import MS, Bench, dictionary, put_pdo
 
 STATUSWORD, POSITION = 0x6041_0010, 0x6064_0020
@@ -331,3 +332,16 @@ def test_sample_is_dropped_on_leaving_operational():
     start(bench)
     bench.tell(ASK)
     assert bench.frames() == []
+
+
+RESTRICTED = (  # CiA 301, 7.3.5, restricted CAN-IDs
+    *((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF)),
+    (0x701, 0x7FF),
+)
+
+
+@pytest.mark.parametrize(("first", "last"), RESTRICTED)
+def test_restricted_identifiers_are_those_of_the_standard(first, last):
+    assert (is_restricted(first), is_restricted(last)) == (True, True)
+    assert not first or not is_restricted(first - 1)
+    assert last == 0x7FF or not is_restricted(last + 1)
