@@ -205,7 +205,7 @@ class HostPlayer:
         self.silent: set[Subject] = set()
         self.pairs: list[tuple[int, int]] = []
         self.booted: set[tuple[str, int]] = set()
-        self.has_news = True
+        self.has_news: bool = True
         self._steps = [step for step in steps if not step.is_free]
         free: dict[tuple[str, bytes], list[HostStep]] = {}
         for step in steps:

@@ -145,7 +145,7 @@ class RigBench:
             self.runtime.spawn(reader, partial(self._read, reader))
 
         self._is_used = False
-        self.observation = self._observe() if self._is_observed else None
+        self.observation: Observation | None = self._observe() if self._is_observed else None
 
     def _observe(self) -> "Observation":
         from motorhil.harness.conformance.verdicts.observation import Observation

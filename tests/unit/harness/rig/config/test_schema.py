@@ -100,7 +100,9 @@ def test_schema_requires_a_bus_if_the_adaptation_needs_one(adaptation):
     needs_bus = installed_plugins().needs_bus(adaptation)
     assert VALIDATOR.is_valid({"motor": {"m": motor}}) is not needs_bus
     servo = {"current_per_volt_a_v": 0.8, "gains": {"kp_a_rad": 1.0}}
-    own = servo if adaptation == "software" else {}
+    own = {"software": servo, "mit": {"drive": "dm4310"}, "robstride": {"drive": "rs01"}}.get(
+        adaptation, {}
+    )
     kinds = getattr(installed(ADAPTATIONS)[adaptation].load(), "bus_kinds", ("can",))
     if "can" in kinds:
         bus, place = {"can0": {"bitrate_bit_s": 500_000}}, {"bus": "can0", "node_id": 1}
