@@ -110,16 +110,17 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
     # --- status ----------------------------------------------------------------------------------
 
     def poll(self, model: "MotorModel") -> Poll:
-        """Read speed, state, demand and position, each in a separate request."""
+        """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
+        position, demand = self._continued(
+            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
+        )
+        time_ns = self.runtime.now_ns()
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         self._is_homed = bool(status & _HOMED)
         fault = self._fault(bool(status & _FAULT), _ALARMS)
-        demanded = registers.read_i32(_DEMAND)
-        position, demand = self._continued(registers.read_i32(_POSITION), demanded)
-        time_ns = self.runtime.now_ns()  # of the position, which is read last: the least old
         state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
         state = state if status & _ENABLED else MotorState.DISABLED
         rpm = speed - 0x10000 if speed & 0x8000 else speed

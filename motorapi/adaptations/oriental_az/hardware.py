@@ -118,15 +118,16 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
     # --- status ----------------------------------------------------------------------------------
 
     def poll(self, model: "MotorModel") -> Poll:
-        """Read speed, state, demand and position, each in a separate request."""
+        """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
+        position, demand = self._continued(
+            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
+        )
+        time_ns = self.runtime.now_ns()
         speed = registers.read_i32(_SPEED)
         outputs = registers.read_i32(_OUTPUTS)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
-        demanded = registers.read_i32(_DEMAND)
-        position, demand = self._continued(registers.read_i32(_POSITION), demanded)
-        time_ns = self.runtime.now_ns()  # of the position, which is read last: the least old
         is_moving = bool(outputs & _MOVE)
         self._stop_again(is_moving)
         is_free = not outputs & (_READY | _MOVE)
