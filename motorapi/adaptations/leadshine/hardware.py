@@ -113,10 +113,8 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position, demand = self._continued(
-            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
-        )
-        time_ns = self.runtime.now_ns()
+        raw, time_ns = registers.read_i32(_POSITION), self.runtime.now_ns()
+        position, demand = self._continued(raw, registers.read_i32(_DEMAND))
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         self._is_homed = bool(status & _HOMED)

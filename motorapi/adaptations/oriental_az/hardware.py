@@ -121,10 +121,8 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position, demand = self._continued(
-            registers.read_i32(_POSITION), registers.read_i32(_DEMAND)
-        )
-        time_ns = self.runtime.now_ns()
+        raw, time_ns = registers.read_i32(_POSITION), self.runtime.now_ns()
+        position, demand = self._continued(raw, registers.read_i32(_DEMAND))
         speed = registers.read_i32(_SPEED)
         outputs = registers.read_i32(_OUTPUTS)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
