@@ -49,6 +49,7 @@ from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
 from motorhil.harness.python_can.hub_client import HubLink
 from motorhil.harness.python_can.messages import to_frame, to_message
 from motorhil.harness.python_can.receive_queue import ReceiveQueue
+from motorhil.harness.python_can.send_limit import SendLimit
 
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualRuntime
@@ -59,8 +60,6 @@ _STATE_AT: Final = 9  # data[1] of the message
 _PASSIVE: Final = RX_PASSIVE | TX_PASSIVE
 _ACTIVE: Final = RX_WARNING | TX_WARNING | ERROR_ACTIVE
 _BACKLOG_MAX: Final = 65_536
-_PENDING_MAX: Final = 65_536
-_SENT_LOOK: Final = 1_024  # frames from one look at those that wait to the next
 _LONG_NS: Final = 600 * 10**9  # of an endless loop over messages
 _OPEN: dict[str, "tuple[Buses, VirtualRuntime, str]"] = {}
 
@@ -231,7 +230,7 @@ class EmulatedBus(can.BusABC):
         self._queue = ReceiveQueue(receive_own_messages, _BACKLOG_MAX, fd)
         self._fd = fd
         self._has_received = False
-        self._sent = 0
+        self._limit: SendLimit | None = None  # a hub has its own
         self._is_shutdown = True  # until fully open, because BusABC.__del__ reads it
         self._hub: HubLink | None = None
         self._port: HostPort | None = None
@@ -248,6 +247,7 @@ class EmulatedBus(can.BusABC):
             self._port = world.add_host(
                 self.channel, "host", self._queue.receive, self._receive_error
             )
+            self._limit = SendLimit(self._port, self.channel)
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)
             self._hub = HubLink(self.channel, fd)
@@ -345,18 +345,10 @@ class EmulatedBus(can.BusABC):
             )
         try:
             self.transmit(to_frame(msg))
+            if self._limit is not None:
+                self._limit.count()
         except ValueError as error:
             raise CanOperationError(str(error)) from error
-        self._sent += 1
-        if self._sent % _SENT_LOOK == 0 and self._port is not None:
-            self._refuse_flood(self._port.pending())
-
-    def _refuse_flood(self, pending: int) -> None:
-        if pending >= _PENDING_MAX:
-            raise CanOperationError(
-                f"{self.channel_info}: {pending} frames wait for the bus; expected at most "
-                f"{_PENDING_MAX}; let time pass between sends, as frames are sent while you wait"
-            )
 
     def __iter__(self) -> Iterator[Message]:
         """Yield messages for ever, as python-can does; warn once of a loop without an end."""

@@ -6,14 +6,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, as_driven
-from motorhil.emulators.simulation.endpoints import HostPort
 from motorhil.emulators.simulation.ownership_notice import unpack_owns
+from motorhil.harness.python_can.send_limit import SendLimit
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
 from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
+    from motorhil.emulators.simulation.endpoints import HostPort
     from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
     from motorhil.emulators.simulation.serial_network import LineHost
     from motorhil.emulators.simulation.world import World
@@ -23,8 +24,6 @@ _FRAME_SIZES: Final = (FRAME_BYTES, FD_FRAME_BYTES)
 _PORTS_MAX: Final = 256
 _PERIODS_MAX: Final = 4096
 _PARTIES_MAX: Final = 1024
-_PENDING_MAX: Final = 65_536
-_SENT_LOOK: Final = 1_024  # frames from one look at those that wait to the next
 
 
 class Seat(Protocol):
@@ -67,12 +66,12 @@ class Participant:
         self.is_gone: bool = False
         self._seat: Final[Seat] = seat
         self._has_turn = False
-        self._sent = 0
         self._ready = records.NO_WAIT
         self._checked = 0
         self._parties: Final[dict[int, VirtualParty]] = {}
         self._waits: Final[dict[int, Waiter]] = {}
         self._ports: Final[dict[int, tuple[str, HostPort | LineHost]]] = {}
+        self._limits: Final[dict[int, SendLimit]] = {}  # of ports on CAN
         self._periods: Final[dict[int, Registration]] = {}
         self._postponed: Final[list[bytes]] = []
         self._takers: Final[dict[int, Callable[[bytes], None]]] = {
@@ -186,7 +185,9 @@ class Participant:
             if len(frame) == FRAME_BYTES:
                 hear(frame, time_ns, transmitted)
 
-        self._opened(number, bus, world.add_host(bus, "host", hear if fd else hear_classical, told))
+        port = world.add_host(bus, "host", hear if fd else hear_classical, told)
+        self._limits[number] = SendLimit(port, bus)
+        self._opened(number, bus, port)
 
     def _opened(self, number: int, bus: str, port: "HostPort | LineHost") -> None:
         self._ports[number] = bus, port
@@ -200,18 +201,16 @@ class Participant:
         self._port(record)[1].close()
 
     def _submit(self, record: bytes) -> None:
-        frame, (bus, port) = record[records.NUMBERED.size :], self._port(record)
-        if bus in self._seat.world.line_names():
-            port.send(frame)
+        _, number = records.NUMBERED.unpack_from(record)
+        port, data = self._ports[number][1], record[records.NUMBERED.size :]
+        limit = self._limits.get(number)
+        if limit is None:  # a line
+            port.send(data)
             return
-        if len(frame) not in _FRAME_SIZES:
-            raise RecordError(f"frame of {len(frame)} bytes")
-        port.send(as_driven(frame))
-        self._sent += 1
-        if self._sent % _SENT_LOOK == 0 and isinstance(port, HostPort):
-            waiting = port.pending()
-            if waiting > _PENDING_MAX:
-                raise RecordError(f"{waiting} frames wait for {bus}; at most {_PENDING_MAX}")
+        if len(data) not in _FRAME_SIZES:
+            raise RecordError(f"frame of {len(data)} bytes")
+        port.send(as_driven(data))
+        limit.count()
 
     def _note(self, record: bytes) -> None:
         bus, port = self._port(record)

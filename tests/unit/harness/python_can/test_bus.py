@@ -196,7 +196,7 @@ def test_unread_bus_drops_oldest_frames_and_counts_them(rig, monkeypatch):
 
 def test_frames_that_wait_without_end_are_refused(rig, monkeypatch):
     """A loop that only sends let them grow until no memory was left."""
-    monkeypatch.setattr("motorhil.harness.python_can.bus._PENDING_MAX", 3_000)
+    monkeypatch.setattr("motorhil.harness.python_can.send_limit._WAITING_MAX", 3_000)
     with emulated() as bus:
         for _ in range(3_071):
             bus.send(message(0x100))

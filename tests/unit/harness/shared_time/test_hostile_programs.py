@@ -96,7 +96,7 @@ def test_silent_program_is_told_and_its_connection_closed(tmp_path):
 
 
 def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("motorhil.harness.shared_time.participant._PENDING_MAX", 1_000)
+    monkeypatch.setattr("motorhil.harness.python_can.send_limit._WAITING_MAX", 1_000)
 
     def bad(path):
         with joined(path, "bad") as connection:
@@ -111,7 +111,7 @@ def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_
                 pass
 
     left, _ = run_with(tmp_path / "clock", bad)
-    assert "1024 frames wait for can0; at most 1000" in left["bad"]
+    assert "can0: 1024 frames wait for the bus; expected at most 1000" in left["bad"]
 
 
 def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
