@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from motorhil.emulators.simulation.serial_network import SerialSegment
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed, print_table
 from motorhil.harness.rig.config.rig_file import Known, parse_rig
@@ -328,10 +327,10 @@ def _print_buses(rig: "Rig") -> None:
         peak = statistics.peak_load(PEAK_WINDOW_NS)
         rows.append((name, f"{statistics.frames}", f"{load:.1%}", f"{peak:.1%}"))
     for name in rig.world.line_names():
-        line = rig.world.line(name)
-        if isinstance(line, SerialSegment):
-            load = line.line.busy_ns / max(1, rig.runtime.now_ns())
-            rows.append((name, f"{line.line.frames}", f"{load:.1%}", "-"))
+        line = rig.world.serial_line(name)
+        if line is not None:
+            load = line.busy_ns / max(1, rig.runtime.now_ns())
+            rows.append((name, f"{line.frames}", f"{load:.1%}", "-"))
     print()
     print_table(("bus", "frames", "load", "peak load in 100 ms"), rows)
 

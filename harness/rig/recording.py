@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.emulators.simulation.serial_network import SerialSegment
 from motorhil.harness.recording.ownership import LockWriter, MotorNames, MotorTap, OwnershipTap
 from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from motorhil.harness.rig.config.buses import SERIAL
@@ -128,10 +127,10 @@ def start_recording(
 def end_recording(recorder: Recorder, world: "World") -> None:
     """Complete the record, including frames that are still in transit on serial lines."""
     for name in world.line_names():
-        segment = world.line(name)
-        if isinstance(segment, SerialSegment):
+        line = world.serial_line(name)
+        if line is not None:
             for _ in range(_IN_TRANSIT):
-                due_ns = segment.line.next_deadline_ns()
+                due_ns = line.next_deadline_ns()
                 if due_ns is None:
                     break
                 world.queue.run_until(due_ns)
