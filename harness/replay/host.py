@@ -126,7 +126,7 @@ class _Heartbeat:
 
 @final
 class _Reports:
-    """What was heard about one subject: the reports that no wait has passed over, by value.
+    """The reports about one subject that no wait has passed over, by value.
 
     Attributes:
         last: the last report; None: none so far.

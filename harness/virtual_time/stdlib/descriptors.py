@@ -155,7 +155,7 @@ def _foreign(descriptor: int) -> str:
             if copy.family != socket.AF_UNIX:
                 return "a network socket"
             return "a named socket" if copy.getsockname() or copy.getpeername() else ""
-    return "" if link == "anon_inode:[eventfd]" else f"{link}"
+    return "" if link == "anon_inode:[eventfd]" else link
 
 
 def _link(descriptor: int) -> str:

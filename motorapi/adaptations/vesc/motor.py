@@ -393,8 +393,8 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         ):
             if self._is_known and not self._has_rested(angle, turns, time_ns):
                 return
-            power_on = offset % span
-            self._power_on = power_on = power_on - span if power_on > span - _NEAR else power_on
+            power_on = (offset + _NEAR) % span - _NEAR
+            self._power_on = power_on
             self._is_kept = False
         self._tachometer = turns, velocity, time_ns
         position = angle + span * round((power_on + turns - angle) / span)

@@ -1,4 +1,4 @@
-"""What every emulated drive with one motor has: times, delayed frames, inputs, builder."""
+"""The parts of every emulated drive with one motor: times, delayed frames, inputs, builder."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
