@@ -63,6 +63,9 @@ INTERPRETED = {
         "motorapi/adaptations/cia402/motor.py",
         "motorapi/adaptations/host_servo/motor.py",
     ),
+    "one addition for each frame, called by interpreted modules": (
+        "harness/python_can/send_limit.py",
+    ),
     "waits for wall time, sockets or files": (
         "harness/python_can/hub_client.py",
         "harness/recording/loop.py",
