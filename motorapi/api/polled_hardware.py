@@ -36,6 +36,7 @@ BOOT_S: Final = 3.0
 INT32_MAX: Final = 0x7FFF_FFFF
 HERE: Final = (None, 35, 37)
 """The homing methods that define the present position as 0."""
+_OLD_NS: Final = 100_000_000  # longer than a poll on a line of 9600 bit/s that loses nothing
 _ROUNDING: Final = 1e-9  # below an integer: counts as the integer, so that rounding twice is safe
 
 
@@ -229,6 +230,11 @@ class PolledHardware(ABC, Generic[UnitT]):
     @abstractmethod
     def poll(self, model: "MotorModel") -> Poll:
         """Read state, position, speed and demand, each in a separate request."""
+
+    @final
+    def _is_old(self, time_ns: int) -> bool:
+        """Return whether a slow line has made the position of a poll old, so it is read again."""
+        return self.runtime.now_ns() - time_ns > _OLD_NS
 
     @final
     def _fault(self, is_set: bool, texts: Mapping[int, str]) -> Fault | None:

@@ -113,10 +113,11 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        raw, time_ns = registers.read_i32(_POSITION), self.runtime.now_ns()
-        position, demand = self._continued(raw, registers.read_i32(_DEMAND))
+        position, demand, time_ns = self._read_positions()
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
+        if self._is_old(time_ns):
+            position, demand, time_ns = self._read_positions()
         self._is_homed = bool(status & _HOMED)
         fault = self._fault(bool(status & _FAULT), _ALARMS)
         state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
@@ -135,6 +136,11 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
             has_arrived=bool(status & _PATH_DONE) and not is_moving,
             at_velocity=bool(status & _COMMAND_DONE),
         )
+
+    def _read_positions(self) -> tuple[int, int, int]:
+        """Return position and demand [counts], and when the position was answered."""
+        raw, time_ns = self.registers.read_i32(_POSITION), self.runtime.now_ns()
+        return *self._continued(raw, self.registers.read_i32(_DEMAND)), time_ns
 
     def _read_alarm(self) -> int:
         return self.registers.read(_ALARM)[0]

@@ -41,8 +41,8 @@ def test_position_is_no_older_than_its_answer(kind):
             position = motor.position()
             latest = motor.latest()
             assert latest.position == position
-            if kind == "dryve":  # the others read it before their speed and state
-                assert rig.runtime.now_ns() - latest.time_ns <= LATE_NS + EXCHANGE_NS
+            later = 0 if kind == "dryve" else 1  # the others read the demand after it
+            assert rig.runtime.now_ns() - latest.time_ns <= later * (LATE_NS + EXCHANGE_NS)
             since_ns = latest.time_ns - LATE_NS - EXCHANGE_NS
             true = [one for now_ns, one in path if since_ns <= now_ns <= latest.time_ns]
             assert max(true) - min(true) > 10 * ROUNDING_RAD  # it moves

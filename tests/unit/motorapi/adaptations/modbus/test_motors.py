@@ -517,7 +517,7 @@ def refuse_an_old_position(rig):
         for answer in (1, 2):
             rule = SerialFaultRule(
                 *(f"lost {turn} {answer}", SerialFaultKind.LOSE, "mast", None, 3),
-                **{"skip": answer + 4 * turn, "limit": 1},
+                **{"skip": answer + 6 * turn, "limit": 1},
             )
             rig.faults.inject("line", rule)
     with pytest.raises(DeadlineExceeded, match=r"few lost requests: .* within 0\.8 s"):
