@@ -478,17 +478,23 @@ def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:
 
 
 class _Failing:
-    """An argument that grows with time squared, from rest, until it fails with this error."""
+    """An argument at rest; from `begin` it grows with time squared, then fails with this error."""
 
     name = "failing argument"
     rate_max = 1.0
 
     def __init__(self, bench: RigProtocol, error: Exception) -> None:
         self._bench, self._error = bench, error
-        self._begun_ns = bench.runtime.now_ns()
+        self._begun_ns: int | None = None
+
+    def begin(self) -> None:
+        """Let it grow: a drive may take long to start."""
+        self._begun_ns = self._bench.runtime.now_ns()
 
     def value(self) -> float:
-        """Return the square of the time since the beginning, or raise the error after a while."""
+        """Return the square of the time since `begin`, or raise the error after a while."""
+        if self._begun_ns is None:
+            return 0.0
         passed_s = elapsed_s(self._bench, self._begun_ns)
         if passed_s > _FAILS_S:
             raise self._error
@@ -516,6 +522,7 @@ def failing_argument_ends_the_motion(bench: RigProtocol) -> None:
         try:
             motor.set_trajectory(ComplexTrajectory(ramp, relative=True), argument)
             motor.start()
+            argument.begin()
         except UnsupportedError as refused:
             raise NotApplicable(f"no argument can lead this motor: {refused}") from None
         expect_raises(
