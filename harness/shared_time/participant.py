@@ -46,6 +46,9 @@ class Seat(Protocol):
     def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
         """Return the notice of a program without what differs in each run."""
 
+    def admit(self, parent: "Participant", pid: int, name: str) -> str:
+        """Wait until a child process has joined; return "", or why it has not."""
+
     def departed(self, participant: "Participant", reason: str) -> None:
         """Tell that the program has gone; `reason` is "" if it has left by itself."""
 
@@ -84,6 +87,7 @@ class Participant:
             records.PARTY: self._name_party,
             records.WAIT: self._wait,
             records.WITHDRAW: self._withdraw,
+            records.CHILD: self._admit,
         }
 
     def begin(self) -> None:
@@ -254,6 +258,13 @@ class Participant:
     def _withdraw(self, record: bytes) -> None:
         _, number = records.COUNTED.unpack(record)
         self._seat.runtime.withdraw(self._waits.pop(number))
+
+    def _admit(self, record: bytes) -> None:
+        _, pid = records.COUNTED.unpack_from(record)
+        name = records.text_of(record, records.COUNTED.size)
+        if not self._has_turn or not name.startswith(f"{self.name}/"):
+            raise RecordError(f"child {name!r}")
+        self._send(bytes([records.ADMITTED]) + self._seat.admit(self, pid, name).encode())
 
     # ---- its end -----------------------------------------------------------------------------
 

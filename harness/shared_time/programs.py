@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.shared_time.shared_clock import (
     RIG_VARIABLE,
+    SITE,
     VARIABLE,
     JoinError,
     SharedClock,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from motorhil.harness.rig.config.programs import ProgramDescription
     from motorhil.harness.rig.rig import Rig
 
-_SITE: Final = Path(__file__).parent / "site"
 _GRACE_S: Final = 5.0
 _CHUNK: Final = 65_536
 
@@ -210,7 +210,7 @@ def _start(
     tell: Callable[[str], None],
 ) -> _Process:
     source = rig.description.source.path.resolve()
-    path = f"{_SITE}{os.pathsep}{os.environ.get('PYTHONPATH', '')}".rstrip(os.pathsep)
+    path = f"{SITE}{os.pathsep}{os.environ.get('PYTHONPATH', '')}".rstrip(os.pathsep)
     environment = {
         **os.environ,
         "PYTHONPATH": path,

@@ -21,6 +21,7 @@ after what it sends in return. IDLE names the first of its waits whose condition
                     WITHDRAW  | wait
                     IDLE      | wait whose condition holds (0: none)
                     LEAVE
+                    CHILD     | pid (u32) | name (UTF-8)    a process that it has started
     rig -> program  WELCOME   | version | now_ns (i64) | seed (i64) | buses (JSON)
                     REFUSED   | reason (UTF-8)
                     OPENED    | port | name (UTF-8)
@@ -29,6 +30,7 @@ after what it sends in return. IDLE names the first of its waits whose condition
                     EXPIRED   | id | time_ns
                     CHECK     | time_ns               another program has had a turn
                     GRANT     | wait | time_ns | result (u8) | reason (UTF-8)
+                    ADMITTED  | reason why the child has not joined, or nothing (UTF-8)
 """
 
 import struct
@@ -52,6 +54,7 @@ WAIT: Final = 24
 WITHDRAW: Final = 25
 IDLE: Final = 26
 LEAVE: Final = 27
+CHILD: Final = 28
 WELCOME: Final = 32
 REFUSED: Final = 33
 OPENED: Final = 34
@@ -60,11 +63,12 @@ TOLD: Final = 36
 EXPIRED: Final = 37
 CHECK: Final = 38
 GRANT: Final = 39
+ADMITTED: Final = 40
 
 NUMBERED: Final = struct.Struct("<BH")
 """Kind and a port, a party, a version or the flag of OPEN; text or a frame follows."""
 COUNTED: Final = struct.Struct("<BI")
-"""Kind and the number of a wait or period."""
+"""Kind and the number of a wait, a period or a process; text may follow."""
 PERIOD: Final = struct.Struct("<BIq")
 """Kind, number and a time or duration [ns]."""
 WAITING: Final = struct.Struct("<BIHBq")

@@ -10,7 +10,7 @@ import json
 import os
 import socket
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self, final
@@ -22,7 +22,7 @@ from motorhil.harness.rig.rig import Named, RigPlugins, describe, read_models
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
 from motorhil.harness.shared_time.remote_world import RemoteWorld
-from motorhil.harness.shared_time.shared_clock import RIG_VARIABLE, VARIABLE
+from motorhil.harness.shared_time.shared_clock import RIG_VARIABLE, SITE, VARIABLE
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 
@@ -30,6 +30,41 @@ if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import RigDescription
     from motorhil.motorapi.group import MotorGroup
     from motorhil.motorapi.motor import Motor
+
+
+@final
+class _Children:
+    """The clock for the children of a program: that of its rig, with names from the program's."""
+
+    def __init__(self, name: str, link: RemoteLink, runtime: RemoteRuntime, place: str, rig: Path):
+        self._name = name
+        self._link = link
+        self._runtime = runtime
+        self._place = place
+        self._rig = rig
+        self._count = 0
+
+    def invite(self, environment: Mapping[str, str]) -> dict[str, str]:
+        """Return this environment with what the next child needs to join."""
+        self._count += 1
+        path = f"{SITE}{os.pathsep}{environment.get('PYTHONPATH', '')}".rstrip(os.pathsep)
+        return {
+            **environment,
+            "PYTHONPATH": path,
+            "PYTHONUNBUFFERED": "1",
+            VARIABLE: f"{self._place}#{self._name}/{self._count}",
+            RIG_VARIABLE: str(self._rig),
+        }
+
+    def admit(self, pid: int) -> str:
+        """Wait until that child has joined; return "", or why it has not."""
+        head = records.COUNTED.pack(records.CHILD, pid)
+        self._link.send(head + f"{self._name}/{self._count}".encode())
+        return records.text_of(self._link.receive(), 1)
+
+    def watching(self) -> AbstractContextManager[None]:
+        """Let waits of this party look again after each turn of another process."""
+        return self._runtime.watching_processes()
 
 
 @final
@@ -42,6 +77,7 @@ class RemoteRig:
         description: the contents of the rig file.
         runtime: where the program waits, and so lets time pass.
         motors, groups: by name, in the order of the file, created on first use.
+        children: where Python programs that this one starts join.
     """
 
     def __init__(self, name: str, path: Path, connection: socket.socket, shared_at: str) -> None:
@@ -56,6 +92,7 @@ class RemoteRig:
         buses: dict[str, int | None] = json.loads(record[records.WELCOMED.size :])
         self.seed: Final[int] = seed
         self.runtime: Final[RemoteRuntime] = RemoteRuntime(link, now_ns)
+        self.children: Final = _Children(name, link, self.runtime, shared_at, path)
         self._cleanup = ExitStack()
         self._cleanup.callback(link.close)
         self._cleanup.callback(self.runtime.close)

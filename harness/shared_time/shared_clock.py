@@ -13,6 +13,7 @@ import json
 import os
 import re
 import select
+import signal
 import socket
 import struct
 import time
@@ -33,8 +34,12 @@ VARIABLE: Final = "MOTORHIL_CLOCK"
 """Environment variable of programs: PATH#NAME, the clock's socket and the program's name."""
 RIG_VARIABLE: Final = "MOTORHIL_RIG"
 """Environment variable of programs: the rig file."""
+SITE: Final = Path(__file__).parent / "site"
+"""Folder on the PYTHONPATH of Python programs: they join before their first line."""
 JOIN_S: Final = 10.0
 _LOOK_S: Final = 0.1
+_GRACE_S: Final = 5.0
+_CHILDREN_MAX: Final = 256
 _PEER: Final = struct.Struct("3i")  # pid, uid, gid
 _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 
@@ -42,6 +47,29 @@ _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 @final
 class JoinError(Exception):
     """Programs did not join; the message names them."""
+
+
+@final
+class _Child:
+    """A process that a program has started, and that has joined.
+
+    Attributes:
+        program: the name of the program of the rig from which it descends.
+        fd: readable once the process has ended.
+    """
+
+    def __init__(self, program: str, fd: int) -> None:
+        self.program: Final[str] = program
+        self.fd: Final[int] = fd
+
+    def has_ended(self, within_s: float = 0.0) -> bool:
+        """Wait up to this time [s] for its end; return whether it has ended."""
+        return bool(select.select([self.fd], [], [], within_s)[0])
+
+    def end(self) -> None:
+        """Kill it."""
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self.fd, signal.SIGKILL)
 
 
 @final
@@ -97,6 +125,7 @@ class SharedClock:
         self._listener.listen()
         self._tokens: dict[tuple[str, int], list[int]] = {}
         self._pids: dict[int, str] = {}
+        self._children: dict[str, _Child] = {}
 
     def watch(self, fd: int, take: Callable[[], bool]) -> None:
         """Call `take` when `fd` is readable, until it returns False."""
@@ -159,6 +188,32 @@ class SharedClock:
         connection.send(head + json.dumps(buses).encode())
         return Participant(name, connection, self)
 
+    def admit(self, parent: Participant, pid: int, name: str) -> str:
+        """Wait until a child of this program has joined, and let it wait for its first turn.
+
+        Returns:
+            Why it has not joined; "" if it has.
+        """
+        if len(self._children) == _CHILDREN_MAX:
+            return f"the rig has {_CHILDREN_MAX} children already; it runs on the wall clock"
+        try:
+            child = _Child(parent.name.partition("/")[0], os.pidfd_open(pid))
+        except ProcessLookupError:
+            return "ended before it joined the rig's time"
+        until_s = time.monotonic() + JOIN_S
+        while time.monotonic() < until_s:
+            found = self._accept([name])
+            if found is not None:
+                self._children[name] = child
+                self._programs.append(found)
+                found.begin()
+                return ""
+            if child.has_ended():
+                os.close(child.fd)
+                return "ended before it joined the rig's time"
+        os.close(child.fd)
+        return f"did not join the rig's time within {JOIN_S:g} s; it runs on the wall clock"
+
     def are_gone(self) -> bool:
         """Return whether all programs have left."""
         return all(program.is_gone for program in self._programs)
@@ -173,7 +228,8 @@ class SharedClock:
 
     def _awaited(self, participant: Participant) -> bytes:
         connection = participant.connection
-        stall_s = self._stalls_s[participant.name]
+        child = self._children.get(participant.name)
+        stall_s = self._stalls_s[participant.name if child is None else child.program]
         asked_s = told_s = 0.0
         while True:
             ready = self._poll.poll(1000.0 * _LOOK_S)
@@ -195,7 +251,10 @@ class SharedClock:
                     f"has kept the turn for {stall_s:g} s of wall time, and no virtual time"
                     " passes; expected a wait; it is killed",
                 )
-                self._end(participant.name)
+                if child is None:
+                    self._end(participant.name)
+                else:
+                    child.end()
             if told_s and now_s - told_s > stall_s:
                 return b""  # it cannot be killed: its connection is closed
 
@@ -216,14 +275,21 @@ class SharedClock:
     def departed(self, participant: Participant, reason: str) -> None:
         """Note that a program has gone."""
         self.left[participant.name] = reason
-        if reason:
+        child = self._children.get(participant.name)
+        if child is not None:
+            child.has_ended(_GRACE_S)  # its parent sees its end, and all that it has written
+        elif reason:
             self._await_end(participant.name)
+        if reason:
             self._tell(participant.name, "warning", f"has left the rig: {reason}")
 
     def close(self) -> None:
         """Close all connections and remove the socket."""
         for program in self._programs:
             program.connection.close()
+        for child in self._children.values():
+            child.end()
+            os.close(child.fd)
         self._listener.close()
         self.path.unlink(missing_ok=True)
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.shared_time.remote_rig import join
+from motorhil.harness.virtual_time.stdlib.children import take_parents_pipes
 from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.harness.virtual_time.stdlib.threads import join_executors
 from motorhil.motorapi.errors import UsageError
@@ -26,7 +27,8 @@ def enter() -> None:
     stack = ExitStack()
     stack.callback(rig.close)
     stack.enter_context(bus_settings(rig.description.buses))
-    stack.enter_context(in_virtual_time(rig))
+    stack.enter_context(in_virtual_time(rig, rig.children))
+    take_parents_pipes()
     atexit.register(stack.close)
     sys.excepthook = _print_error
     register: Any = threading._register_atexit  # type: ignore[attr-defined]  # noqa: SLF001 -- before Python joins its threads, which would not wait in the rig's time

@@ -27,11 +27,13 @@ from sched import scheduler
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Protocol, final
 
+from motorhil.harness.virtual_time.stdlib import children as processes
 from motorhil.harness.virtual_time.stdlib import clocks, descriptors, refusals, threads
 from motorhil.harness.virtual_time.stdlib import clocks as dates
 from motorhil.harness.virtual_time.stdlib import threads as locks
 from motorhil.harness.virtual_time.stdlib.threads import (
     OUTSIDE,
+    ChildClock,
     Lock,
     RLock,
     end_threads,
@@ -105,6 +107,7 @@ def _methods() -> _Methods:
         (Thread, "is_alive", threads.is_alive),
         (Event, "is_set", threads.is_set),
         *descriptors.methods(),
+        *processes.methods(),
         *refusals.methods(),
     ]
 
@@ -136,11 +139,15 @@ class TimedRig(Protocol):
 
 
 @contextmanager
-def in_virtual_time(rig: TimedRig) -> Iterator[None]:
+def in_virtual_time(rig: TimedRig, children: ChildClock | None = None) -> Iterator[None]:
     """Run a program in the rig's virtual time: this thread and those that it starts.
 
     `random` is seeded from the rig's seed. At the end of the block everything is restored, and
     threads that still run are ended in their current wait.
+
+    Args:
+        rig: an open rig.
+        children: the clock that child processes join; None: they run on the wall clock.
 
     Raises:
         UsageError: another program is in virtual time already, or this thread is not a party of the
@@ -151,7 +158,11 @@ def in_virtual_time(rig: TimedRig) -> Iterator[None]:
             f"thread {threading.current_thread().name!r} is not a party of this rig; enter "
             "in_virtual_time in the thread that opened the rig"
         )
-    with program_on(rig.runtime) as program, _seeded(rig.seed), standard_library_replaced():
+    with (
+        program_on(rig.runtime, children) as program,
+        _seeded(rig.seed),
+        standard_library_replaced(),
+    ):
         try:
             yield
         finally:

@@ -18,11 +18,11 @@ from _thread import allocate_lock as _allocate_lock
 from _thread import start_new_thread as _start_new_thread
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import thread as executors
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from threading import TIMEOUT_MAX, Event, Thread, current_thread
 from types import MappingProxyType, TracebackType
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, final
 
 from motorhil.harness.virtual_time.runtime import (
     Cancelled,
@@ -49,6 +49,19 @@ _ROUNDS: Final = 3  # attempts to end a thread that continues
 _GRACE_S: Final = 10.0  # in the rig's time, for each attempt
 
 
+class ChildClock(Protocol):
+    """The clock that the children of a program join."""
+
+    def invite(self, environment: Mapping[str, str]) -> dict[str, str]:
+        """Return this environment with what the next child needs to join."""
+
+    def admit(self, pid: int) -> str:
+        """Wait until that child has joined; return "", or why it has not."""
+
+    def watching(self) -> AbstractContextManager[None]:
+        """Let waits of this party look again after each turn of another process."""
+
+
 @final
 class Program:
     """A program in virtual time: its runtime, and the lead of its clocks.
@@ -58,8 +71,9 @@ class Program:
     something changes makes progress, and other parties have their turns meanwhile.
     """
 
-    def __init__(self, runtime: VirtualRuntime) -> None:
+    def __init__(self, runtime: VirtualRuntime, children: ChildClock | None = None) -> None:
         self.runtime = runtime
+        self.children = children
         self.ahead_ns: int = 0  # the last value of a clock
         self.parties: list[VirtualParty] = []  # running threads when the last was added
         self._bills = 0  # consecutive waits for time to catch up, with nothing in between
@@ -160,8 +174,12 @@ def on_wall() -> Iterator[None]:
 
 
 @contextmanager
-def program_on(runtime: VirtualRuntime) -> Iterator[Program]:
+def program_on(runtime: VirtualRuntime, children: ChildClock | None = None) -> Iterator[Program]:
     """Activate a program for the parties of this runtime within the block.
+
+    Args:
+        runtime: where it waits.
+        children: the clock that its child processes join; None: they run on the wall clock.
 
     Raises:
         UsageError: another program is active in this process.
@@ -171,7 +189,7 @@ def program_on(runtime: VirtualRuntime) -> Iterator[Program]:
             "another program of this process is already in virtual time; "
             "leave its in_virtual_time first"
         )
-    program = _Stage.program = Program(runtime)
+    program = _Stage.program = Program(runtime, children)
     runtime.whereabouts, named = whereabouts, runtime.whereabouts
     runtime.on_poll = lambda: _poll(program)
     try:

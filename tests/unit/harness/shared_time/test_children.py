@@ -1,0 +1,169 @@
+"""Python programs that a program of a rig starts by `subprocess` share the rig's time."""
+
+import pytest
+
+from motorhil.harness.rig.rig import Rig
+from motorhil.harness.shared_time.programs import run_programs
+from motorhil.traces.digest import digest
+
+pytestmark = pytest.mark.wall
+
+RIG = """
+[bus.can0]
+bitrate_bit_s = 500_000
+node = { listener = { silent = true } }
+
+[program.parent]
+command = ["python", "parent.py"]
+"""
+HEAD = """
+import signal, subprocess, sys, time
+begun_s = time.monotonic()
+def tell(*words):
+    print(*words, f"at {time.monotonic() - begun_s:.2f}")
+def python(code, *words, **keys):
+    return subprocess.Popen([sys.executable, *words, "-c", code], text=True, **keys)
+"""
+TALKER = """
+import can, sys, time
+bus = can.Bus()
+for number in range(3):
+    bus.send(can.Message(arbitration_id=0x100 + number, is_extended_id=False))
+    time.sleep(float(sys.argv[1]))
+print("talked", sys.argv[1])
+bus.shutdown()
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return a function that runs a parent and returns its lines of output and what was wrong."""
+    (tmp_path / "talker.py").write_text(TALKER)
+
+    def run(code, record=None, stall_s=10.0):
+        (tmp_path / "rig.toml").write_text(f"{RIG}stall_s = {stall_s}\n")
+        (tmp_path / "parent.py").write_text(HEAD + code)
+        lines = []
+        with Rig.open(tmp_path / "rig.toml", record=record) as rig:
+            wrong = run_programs(rig, lines.append)
+        return [line.removeprefix("parent: ") for line in lines], wrong
+
+    return run
+
+
+def test_children_send_in_the_time_of_the_rig(run, tmp_path):
+    code = """
+children = [subprocess.Popen([sys.executable, "talker.py", pause]) for pause in ("0.2", "0.1")]
+time.sleep(0.25)
+tell("meanwhile")
+for child in children:
+    tell(child.wait())
+"""
+    digests = set()
+    for name in ("once", "again"):
+        record = tmp_path / f"{name}.mcap"
+        lines, wrong = run(code, record)
+        assert wrong == {}
+        assert lines == [
+            *("meanwhile at 0.25", "talked 0.1", "talked 0.2", "0 at 0.60", "0 at 0.60"),
+        ]
+        digests.add(digest(record))
+    assert len(digests) == 1
+
+
+def test_pipes_of_a_child_wait_in_the_time_of_the_rig(run):
+    code = """
+ticks = "import time\\nfor tick in range(3): time.sleep(0.1); print('tick', tick)"
+with python(ticks, stdout=subprocess.PIPE) as child:
+    for line in child.stdout:
+        tell(line.rstrip())
+tell(child.returncode)
+echo = "import sys; print(2 * input()); print(sys.stdin.read().upper(), file=sys.stderr)"
+child = python(echo, stdin=-1, stdout=-1, stderr=-1)
+child.stdin.write("ab\\n")
+child.stdin.flush()
+tell(child.stdout.readline().rstrip())
+tell(child.communicate("rest"), child.returncode)
+"""
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines == [
+        *("tick 0 at 0.10", "tick 1 at 0.20", "tick 2 at 0.30", "0 at 0.30"),
+        *("abab at 0.30", "('', 'REST\\n') 0 at 0.30"),
+    ]
+
+
+def test_more_than_a_pipe_holds_passes_both_ways(run):
+    code = """
+size = 300_000
+child = python("import sys; sys.stdout.write(sys.stdin.read())", stdin=-1, stdout=-1)
+tell([len(text or "") for text in child.communicate("x" * size)])
+"""
+    assert run(code) == (["[300000, 0] at 0.00"], {})
+
+
+def test_child_beyond_its_timeout_is_killed_at_that_time(run):
+    code = """
+sleeper = "import time; time.sleep(100)"
+try:
+    subprocess.run([sys.executable, "-c", sleeper], timeout=2)
+except subprocess.TimeoutExpired:
+    tell("too long")
+child = python(sleeper)
+tell(child.poll())
+time.sleep(1)
+child.terminate()
+tell(child.poll() == -signal.SIGTERM)
+"""
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert [line for line in lines if " at " in line] == [
+        *("too long at 2.00", "None at 2.00", "True at 3.00"),
+    ]
+
+
+def test_child_that_keeps_the_turn_is_named_and_killed(run):
+    code = """
+child = python("while True: pass")
+tell(child.wait())
+grandparent = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'while True: pass'])"
+tell(python(grandparent).wait())
+"""
+    lines, wrong = run(code, stall_s=0.6)
+    assert wrong == {}
+    assert [line for line in lines if line.startswith("program ")] == [
+        f"program parent/{name}: {what}"
+        for name in ("1", "2/1")
+        for what in (
+            "has kept the turn for 0.6 s of wall time, and no virtual time passes; expected a wait;"
+            " it is killed",
+            "has left the rig: its connection has ended",
+        )
+    ]
+    assert [line for line in lines if " at " in line] == ["-9 at 0.00", "0 at 0.00"]
+
+
+def test_child_that_does_not_join_runs_on_the_wall_clock(run, tmp_path):
+    fake = tmp_path / "python3"
+    fake.write_text("#!/bin/sh\necho $1 $2\n")
+    fake.chmod(0o755)
+    code = """
+tell(subprocess.check_output(["echo", "other"]))
+tell(python("print(1)", "-I", stdout=-1).communicate())
+tell(subprocess.check_output(["./python3", "-c", "2"]))
+"""
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines == [
+        *("b'other\\n' at 0.00", "('1\\n', None) at 0.00"),
+        "motorhil: child ./python3 -c 2: ended before it joined the rig's time",
+        "b'-c 2\\n' at 0.00",
+    ]
+
+
+def test_orphan_goes_on_and_is_awaited(run, tmp_path):
+    code = """
+python("import time; time.sleep(3); print('late')")
+"""
+    lines, wrong = run(code)
+    assert (lines, wrong) == (["late"], {})
