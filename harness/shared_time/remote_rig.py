@@ -62,6 +62,10 @@ class _Children:
         self._link.send(head + f"{self._name}/{self._count}".encode())
         return records.text_of(self._link.receive(), 1)
 
+    def has_relatives(self) -> bool:
+        """Return whether a child has joined, or this program is one."""
+        return self._count > 0 or "/" in self._name
+
     def watching(self) -> AbstractContextManager[None]:
         """Let waits of this party look again after each turn of another process."""
         return self._runtime.watching_processes()

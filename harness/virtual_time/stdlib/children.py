@@ -99,7 +99,7 @@ def _waited(process: Popen[Any], timeout: float | None = None) -> int:
     """Stand in for Popen.wait."""
     if not _is_in_time(process):
         return _wait(process, timeout)
-    if not _await(lambda: _poll(process) is not None, timeout):
+    if not await_here(lambda: _poll(process) is not None, timeout):
         raise TimeoutExpired(process.args, timeout or 0.0)
     return int(process.returncode)
 
@@ -109,7 +109,7 @@ def _polled(process: Popen[Any]) -> int | None:
     """Stand in for Popen.poll, which programs call in loops."""
     if not _is_in_time(process):
         return _poll(process)
-    _await(lambda: _poll(process) is not None, 0.0)
+    await_here(lambda: _poll(process) is not None, 0.0)
     return process.returncode
 
 
@@ -132,7 +132,7 @@ def _communicated(
     talk = _talks.get(process)
     if talk is None:
         talk = _talks[process] = _Talk(process, input)
-    if not _await(lambda: talk.is_over() and _poll(process) is not None, timeout):
+    if not await_here(lambda: talk.is_over() and _poll(process) is not None, timeout):
         raise TimeoutExpired(process.args, timeout or 0.0)
     del _talks[process]
     return talk.result()
@@ -164,7 +164,7 @@ class _Talk:
         """Read and write what can be; return whether all is done."""
         self._write()
         for name, stream in list(self._open.items()):
-            while _is_ready(stream.fileno(), False):
+            while is_ready(stream.fileno(), False):
                 read = os.read(stream.fileno(), _CHUNK)
                 self._read[name] += read
                 if not read:
@@ -176,7 +176,7 @@ class _Talk:
         if self._input is None:
             return
         try:
-            while self._left and _is_ready(self._input.fileno(), True):
+            while self._left and is_ready(self._input.fileno(), True):
                 self._left = self._left[os.write(self._input.fileno(), self._left[:_WRITE_MAX]) :]
         except BrokenPipeError:
             self._left = memoryview(b"")
@@ -225,14 +225,14 @@ class _Pipe(io.RawIOBase):
 
     def readinto(self, buffer: Any) -> int:
         """Wait for data; return how many bytes there were, 0 at the end."""
-        _await(partial(_is_ready, self.fileno(), False), None)
+        await_here(partial(is_ready, self.fileno(), False), None)
         data = os.read(self._fd, len(buffer))
         buffer[: len(data)] = data
         return len(data)
 
     def write(self, data: Any) -> int:
         """Wait for room; return how many bytes were written."""
-        _await(partial(_is_ready, self.fileno(), True), None)
+        await_here(partial(is_ready, self.fileno(), True), None)
         return os.write(self._fd, bytes(memoryview(data)[:_WRITE_MAX]))
 
     def close(self) -> None:
@@ -263,7 +263,7 @@ def _in_time(stream: Any, bufsize: int) -> Any:
     )
 
 
-def _await(look: Callable[[], bool], timeout_s: float | None) -> bool:
+def await_here(look: Callable[[], bool], timeout_s: float | None) -> bool:
     """Wait in the rig's time until `look` finds something; return whether it does."""
     program, party = program_here(), party_here()
     if program is None or party is None or program.children is None or look():
@@ -276,7 +276,8 @@ def _await(look: Callable[[], bool], timeout_s: float | None) -> bool:
         return program.runtime.wait_for_parties(look, left_s)
 
 
-def _is_ready(fd: int, is_written: bool) -> bool:
+def is_ready(fd: int, is_written: bool) -> bool:
+    """Return whether a read or write would not wait."""
     return any(_select(() if is_written else (fd,), (fd,) if is_written else (), (), 0))
 
 

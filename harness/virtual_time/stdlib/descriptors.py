@@ -2,8 +2,9 @@
 
 A party may wait for a descriptor whose other end is in its own program: a pipe, a pair of sockets,
 an eventfd. Only a party can change it, so the wait looks at it whenever something has happened.
-This is all that an event loop of asyncio waits for, beside its timers. A network connection, a
-device or a pipe to another process changes at times of the wall clock; waiting for it is refused.
+This is all that an event loop of asyncio waits for, beside its timers. A pipe to a child that has
+joined the rig changes in the turns of that child. A network connection, a device or a pipe to any
+other process changes at times of the wall clock; waiting for it is refused.
 """
 
 import os
@@ -20,6 +21,7 @@ from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
 from motorhil.harness.virtual_time.stdlib.threads import party_here, program_here
 
 _POLL: Final = "poll with a timeout of 0, and sleep in between"
+_FOREIGN_PIPE: Final = "a pipe to another process"
 _RECEIVING: Final = (
     *("accept", "recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
 )
@@ -130,10 +132,14 @@ def _wait(
         program.look(party)  # lets time pass for a program that polls
         return False
     what = _foreign_among(descriptors)
-    if what:
+    relatives = program.children is not None and program.children.has_relatives()
+    if what and not (relatives and what == _FOREIGN_PIPE):
         refuse(name, f"it waits for {what}, which has the wall clock", remedy)
     left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
-    return program.runtime.wait_for_parties(look, left_s)
+    if program.children is None or not relatives:
+        return program.runtime.wait_for_parties(look, left_s)
+    with program.children.watching():
+        return program.runtime.wait_for_parties(look, left_s)
 
 
 def _foreign_among(descriptors: Iterable[int]) -> str:
@@ -149,7 +155,7 @@ def _foreign_among(descriptors: Iterable[int]) -> str:
 def _foreign(descriptor: int) -> str:
     mode, link = os.fstat(descriptor).st_mode, _link(descriptor)
     if stat.S_ISFIFO(mode):
-        return "" if _ends(link) > 1 else "a pipe to another process"
+        return "" if _ends(link) > 1 else _FOREIGN_PIPE
     if stat.S_ISSOCK(mode):
         with socket.socket(fileno=os.dup(descriptor)) as copy:
             if copy.family != socket.AF_UNIX:

@@ -28,7 +28,13 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 from motorhil.harness.virtual_time.stdlib import children as processes
-from motorhil.harness.virtual_time.stdlib import clocks, descriptors, refusals, threads
+from motorhil.harness.virtual_time.stdlib import (
+    clocks,
+    descriptors,
+    multiprocess,
+    refusals,
+    threads,
+)
 from motorhil.harness.virtual_time.stdlib import clocks as dates
 from motorhil.harness.virtual_time.stdlib import threads as locks
 from motorhil.harness.virtual_time.stdlib.threads import (
@@ -97,6 +103,7 @@ def _pairs() -> list[tuple[object, object]]:
         *dates.date_stand_ins(),
         *descriptors.stand_ins(),
         *refusals.stand_ins(),
+        *multiprocess.stand_ins(),
     ]
 
 
@@ -109,6 +116,7 @@ def _methods() -> _Methods:
         *descriptors.methods(),
         *processes.methods(),
         *refusals.methods(),
+        *multiprocess.methods(),
     ]
 
 

@@ -1,27 +1,21 @@
 """Operations of a program that virtual time refuses: they block, or copy the rig."""
 
 import asyncio
-import multiprocessing
 import os
 import select
 import signal
-import sys
 from collections.abc import Callable
 from functools import wraps
-from multiprocessing.context import BaseContext
-from multiprocessing.process import BaseProcess
 from typing import Any, Final, NoReturn
 
 from motorhil.harness.virtual_time.stdlib.threads import (
     caller_is_outside,
-    on_wall,
     party_here,
 )
 from motorhil.motorapi.errors import UsageError
 
 _COPY: Final = "the new process would have its own copy of the rig, with its own time"
 _SYSTEM: Final = "it blocks in the operating system, and with it all threads of the program"
-_PROCESSES: Final = "it is for processes, and blocks in the operating system"
 _ALARM: Final = "it uses the wall clock, not the rig's clock"
 _CHILD: Final = "the new process runs on the wall clock, not on the rig's"
 _THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
@@ -39,10 +33,6 @@ _FUNCTIONS: Final = (
     (signal.sigwait, "signal.sigwait", _SYSTEM, "sleep until a flag is set"),
     (signal.sigwaitinfo, "signal.sigwaitinfo", _SYSTEM, "sleep until a flag is set"),
     (signal.sigtimedwait, "signal.sigtimedwait", _SYSTEM, "sleep until a flag is set"),
-)
-_OF_PROCESSES: Final = (
-    *("Barrier", "BoundedSemaphore", "Condition", "Event", "JoinableQueue", "Lock", "Manager"),
-    *("Pipe", "Pool", "Queue", "RLock", "Semaphore", "SimpleQueue"),
 )
 
 
@@ -71,40 +61,11 @@ def _refused(original: Callable[..., Any], name: str, why: str, remedy: str) -> 
     return stand_in
 
 
-def _of_processes(place: object, name: str) -> Callable[..., Any]:
-    """Return a stand-in for a waiting function of `multiprocessing`."""
-    return _refused(getattr(place, name), f"multiprocessing.{name}", _PROCESSES, _THREADS)
-
-
-def _queue_of_pool() -> Callable[..., Any]:
-    """Return a stand-in for BaseContext.SimpleQueue, which only pools may use.
-
-    A thread pool has such a queue to end, and reads it only when something is in it.
-    """
-    original = BaseContext.SimpleQueue
-
-    @wraps(original)
-    def stand_in(context: BaseContext) -> Any:
-        caller = sys._getframe(1).f_globals.get("__name__")  # noqa: SLF001 -- as in caller_is_outside
-        if is_meant() and caller != "multiprocessing.pool":
-            refuse("multiprocessing.SimpleQueue", _PROCESSES, _THREADS)
-        with on_wall():
-            return original(context)
-
-    return stand_in
-
-
 def stand_ins() -> list[tuple[object, object]]:
     """Return (original, stand-in) for the functions that are refused."""
     return [
-        *(
-            (original, _refused(original, name, why, remedy))
-            for original, name, why, remedy in _FUNCTIONS
-        ),
-        *(
-            (getattr(multiprocessing, name), _of_processes(multiprocessing, name))
-            for name in _OF_PROCESSES
-        ),
+        (original, _refused(original, name, why, remedy))
+        for original, name, why, remedy in _FUNCTIONS
     ]
 
 
@@ -112,15 +73,6 @@ def methods() -> list[tuple[type, str, object]]:
     """Return (class, name, stand-in) for the methods that are refused."""
     loop = asyncio.BaseEventLoop
     return [
-        (BaseProcess, "start", _refused(BaseProcess.start, "multiprocessing", _COPY, _THREADS)),
-        *(
-            (BaseContext, name, _of_processes(BaseContext, name))
-            for name in _OF_PROCESSES
-            if name != "SimpleQueue"
-        ),
-        (BaseContext, "SimpleQueue", _queue_of_pool()),
-        *(
-            (loop, name, _refused(getattr(loop, name), f"asyncio.{name}", _CHILD, _RUN))
-            for name in ("subprocess_exec", "subprocess_shell")
-        ),
+        (loop, name, _refused(getattr(loop, name), f"asyncio.{name}", _CHILD, _RUN))
+        for name in ("subprocess_exec", "subprocess_shell")
     ]

@@ -58,6 +58,9 @@ class ChildClock(Protocol):
     def admit(self, pid: int) -> str:
         """Wait until that child has joined; return "", or why it has not."""
 
+    def has_relatives(self) -> bool:
+        """Return whether a child has joined, or this program is one."""
+
     def watching(self) -> AbstractContextManager[None]:
         """Let waits of this party look again after each turn of another process."""
 

@@ -167,3 +167,90 @@ python("import time; time.sleep(3); print('late')")
 """
     lines, wrong = run(code)
     assert (lines, wrong) == (["late"], {})
+
+
+WORKERS = """
+import multiprocessing, time
+from concurrent.futures import ProcessPoolExecutor
+
+def work(queue, lock, name, pause_s):
+    for number in range(2):
+        with lock:
+            time.sleep(pause_s)
+            queue.put((name, number))
+
+def square(number):
+    time.sleep(0.1 * number)
+    return number * number
+
+def answer(pipe):
+    while (asked := pipe.recv()) is not None:
+        time.sleep(0.1)
+        pipe.send(asked[::-1])
+
+if __name__ == "__main__":
+    begun_s = time.monotonic()
+    spawn = multiprocessing.get_context("spawn")
+"""
+
+
+def in_main(*lines):
+    """Return a program with these lines below its functions."""
+    return HEAD + WORKERS + "".join(f"    {line}\n" for line in lines)
+
+
+def test_spawned_processes_share_queue_and_lock(run, tmp_path):
+    code = in_main(
+        "queue, lock = spawn.Queue(), spawn.Lock()",
+        'facts = (("a", 0.1), ("b", 0.2))',
+        "processes = [spawn.Process(target=work, args=(queue, lock, *one)) for one in facts]",
+        "for process in processes: process.start()",
+        "for _ in range(4): tell(*queue.get())",
+        "for process in processes: process.join()",
+        "tell([process.exitcode for process in processes])",
+    )
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines == [
+        *("a 0 at 0.10", "a 1 at 0.20", "b 0 at 0.40", "b 1 at 0.60", "[0, 0] at 0.60"),
+    ]
+
+
+def test_spawned_pools_and_pipes_wait_in_the_time_of_the_rig(run):
+    code = in_main(
+        "with ProcessPoolExecutor(2, mp_context=spawn) as pool:",
+        "    tell(list(pool.map(square, [3, 1, 2])))",
+        "with spawn.Pool(2) as pool:",
+        "    tell(pool.map(square, [2, 1]))",
+        "own, other = spawn.Pipe()",
+        "process = spawn.Process(target=answer, args=(other,))",
+        "process.start()",
+        "tell(own.poll(0.5))",
+        "own.send('x' * 200_000)",
+        "tell(len(own.recv()))",
+        "process.join(0.25)",
+        "tell(process.exitcode)",
+        "own.send(None)",
+        "process.join()",
+        "tell(process.exitcode)",
+        "tell(spawn.Event().wait(0.5))",
+    )
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines == [
+        *("[9, 1, 4] at 0.30", "[4, 1] at 0.50", "False at 1.00", "200000 at 1.10"),
+        *("None at 1.35", "0 at 1.35", "False at 1.85"),
+    ]
+
+
+def test_forked_process_is_refused(run):
+    code = in_main(
+        'try: multiprocessing.get_context("fork").Process(target=square).start()',
+        "except Exception as error: print(error)",
+        "try: multiprocessing.Manager()",
+        "except Exception as error: print(error)",
+    )
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert 'use multiprocessing.get_context("spawn")' in lines[0]
+    assert "use a Queue of a spawn context" in lines[1]
