@@ -5,6 +5,7 @@ its end and for its pipes in the rig's time. A child that cannot join (another l
 with -S, -E or -I) runs on the wall clock; the rig's time stands still while its parent waits.
 """
 
+import asyncio
 import io
 import os
 import re
@@ -20,6 +21,7 @@ from inspect import signature
 from subprocess import PIPE, STDOUT, Popen, TimeoutExpired
 from typing import Any, Final, final
 
+from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
 from motorhil.harness.virtual_time.stdlib.threads import (
     OUTSIDE,
     Program,
@@ -32,6 +34,7 @@ PIPES_VARIABLE: Final = "MOTORHIL_PIPES"
 _PYTHON: Final = re.compile(r"python[0-9.]*")
 _ALONE: Final = frozenset("SIE")  # options of Python with which it cannot join
 _CHUNK: Final = 65_536
+_LOOK: Final = os.WEXITED | os.WNOHANG | os.WNOWAIT
 _WRITE_MAX: Final = select.PIPE_BUF  # a pipe that is ready takes as much at once
 _HARMLESS: Final = frozenset(
     {signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH}
@@ -40,6 +43,12 @@ _HARMLESS: Final = frozenset(
 _init, _wait, _poll = Popen.__init__, Popen.wait, Popen.poll
 _communicate, _send_signal = Popen.communicate, Popen.send_signal
 _select = select.select
+_loop_exec = asyncio.BaseEventLoop.subprocess_exec
+_loop_shell = asyncio.BaseEventLoop.subprocess_shell
+_WATCHER: Final[Any] = getattr(asyncio, "ThreadedChildWatcher", None)
+_watch = getattr(_WATCHER, "_do_waitpid", None)  # not in each version of Python
+_CHILD: Final = "the new process runs on the wall clock, not on the rig's"
+_RUN: Final = "use asyncio.to_thread(subprocess.run, ...)"
 _SIGNATURE: Final = signature(_init)
 _joined: Final[weakref.WeakSet[Popen[Any]]] = weakref.WeakSet()
 
@@ -52,6 +61,9 @@ def methods() -> list[tuple[type, str, object]]:
         (Popen, "poll", _polled),
         (Popen, "communicate", _communicated),
         (Popen, "send_signal", _signalled),
+        (asyncio.BaseEventLoop, "subprocess_exec", _started_by_loop),
+        (asyncio.BaseEventLoop, "subprocess_shell", _shell_by_loop),
+        *([] if _watch is None else [(_WATCHER, "_do_waitpid", _watched)]),
     ]
 
 
@@ -136,6 +148,35 @@ def _communicated(
         raise TimeoutExpired(process.args, timeout or 0.0)
     del _talks[process]
     return talk.result()
+
+
+@wraps(_loop_exec)
+def _started_by_loop(loop: Any, factory: Any, program: Any, *words: Any, **named: Any) -> Any:
+    """Stand in for the function of event loops that starts a program."""
+    facts = {"args": [program, *words], "shell": False, "executable": named.get("executable")}
+    if is_meant() and not (_has_children() and _can_join(facts)):
+        refuse("asyncio.subprocess_exec", _CHILD, _RUN)
+    return _loop_exec(loop, factory, program, *words, **named)
+
+
+@wraps(_loop_shell)
+def _shell_by_loop(*arguments: Any, **named: Any) -> Any:
+    """Stand in for the function of event loops that starts a shell."""
+    if is_meant():
+        refuse("asyncio.subprocess_shell", _CHILD, _RUN)
+    return _loop_shell(*arguments, **named)
+
+
+def _watched(watcher: Any, loop: Any, pid: int, *others: Any) -> None:
+    """Stand in for the thread that waits for the end of a child of an event loop."""
+    await_here(lambda: os.waitid(os.P_PID, pid, _LOOK) is not None, None)
+    assert _watch is not None
+    _watch(watcher, loop, pid, *others)
+
+
+def _has_children() -> bool:
+    program = program_here()
+    return program is not None and program.children is not None
 
 
 @final

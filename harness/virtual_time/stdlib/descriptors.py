@@ -22,6 +22,7 @@ from motorhil.harness.virtual_time.stdlib.threads import party_here, program_her
 
 _POLL: Final = "poll with a timeout of 0, and sleep in between"
 _FOREIGN_PIPE: Final = "a pipe to another process"
+_OF_RELATIVES: Final = (_FOREIGN_PIPE, "anon_inode:[pidfd]")
 _RECEIVING: Final = (
     *("accept", "recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
 )
@@ -133,7 +134,7 @@ def _wait(
         return False
     what = _foreign_among(descriptors)
     relatives = program.children is not None and program.children.has_relatives()
-    if what and not (relatives and what == _FOREIGN_PIPE):
+    if what and not (relatives and what in _OF_RELATIVES):
         refuse(name, f"it waits for {what}, which has the wall clock", remedy)
     left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
     if program.children is None or not relatives:

@@ -115,7 +115,6 @@ def _methods() -> _Methods:
         (Event, "is_set", threads.is_set),
         *descriptors.methods(),
         *processes.methods(),
-        *refusals.methods(),
         *multiprocess.methods(),
     ]
 

@@ -1,6 +1,5 @@
 """Operations of a program that virtual time refuses: they block, or copy the rig."""
 
-import asyncio
 import os
 import select
 import signal
@@ -17,10 +16,8 @@ from motorhil.motorapi.errors import UsageError
 _COPY: Final = "the new process would have its own copy of the rig, with its own time"
 _SYSTEM: Final = "it blocks in the operating system, and with it all threads of the program"
 _ALARM: Final = "it uses the wall clock, not the rig's clock"
-_CHILD: Final = "the new process runs on the wall clock, not on the rig's"
 _THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
 _TIMER: Final = "use threading.Timer"
-_RUN: Final = "use asyncio.to_thread(subprocess.run, ...)"
 _SELECTOR: Final = "use selectors.DefaultSelector"
 _FUNCTIONS: Final = (
     (os.fork, "os.fork", _COPY, _THREADS),
@@ -66,13 +63,4 @@ def stand_ins() -> list[tuple[object, object]]:
     return [
         (original, _refused(original, name, why, remedy))
         for original, name, why, remedy in _FUNCTIONS
-    ]
-
-
-def methods() -> list[tuple[type, str, object]]:
-    """Return (class, name, stand-in) for the methods that are refused."""
-    loop = asyncio.BaseEventLoop
-    return [
-        (loop, name, _refused(getattr(loop, name), f"asyncio.{name}", _CHILD, _RUN))
-        for name in ("subprocess_exec", "subprocess_shell")
     ]

@@ -254,3 +254,47 @@ def test_forked_process_is_refused(run):
     assert wrong == {}
     assert 'use multiprocessing.get_context("spawn")' in lines[0]
     assert "use a Queue of a spawn context" in lines[1]
+
+
+def test_event_loop_starts_children_in_the_time_of_the_rig(run):
+    code = (
+        HEAD
+        + """
+import asyncio
+from asyncio.subprocess import PIPE
+ECHO = "import time\\nwhile line := input(): time.sleep(0.1); print(line[::-1])"
+
+async def ask(words):
+    child = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", ECHO, stdin=PIPE, stdout=PIPE
+    )
+    for word in words:
+        child.stdin.write(word.encode() + b"\\n")
+        tell(await child.stdout.readline())
+    child.stdin.write(b"\\n")
+    tell(await child.wait())
+
+async def main():
+    await asyncio.gather(ask(["ab", "cd"]), asyncio.sleep(0.15))
+    child = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", "print(input() * 2)", stdin=PIPE, stdout=PIPE
+    )
+    tell(await child.communicate(b"ab"))
+    for start in (asyncio.create_subprocess_exec, asyncio.create_subprocess_shell):
+        try:
+            await start("true")
+        except Exception as error:
+            print(error)
+
+asyncio.run(main())
+"""
+    )
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines[:4] == [
+        *("b'ba\\n' at 0.10", "b'dc\\n' at 0.20", "0 at 0.20", "(b'abab\\n', None) at 0.20"),
+    ]
+    assert [line[:24] for line in lines[4:]] == [
+        "asyncio.subprocess_exec ",
+        "asyncio.subprocess_shell",
+    ]
