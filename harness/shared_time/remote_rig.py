@@ -46,6 +46,11 @@ class _Children:
 
     def invite(self, environment: Mapping[str, str]) -> dict[str, str]:
         """Return this environment with what the next child needs to join."""
+        if self._runtime.is_in_callback():
+            raise UsageError(
+                f"program {self._name}: starts a child in a callback; expected a turn of the"
+                " program; start it from a thread"
+            )
         self._count += 1
         path = f"{SITE}{os.pathsep}{environment.get('PYTHONPATH', '')}".rstrip(os.pathsep)
         return {

@@ -14,8 +14,8 @@ import signal
 import subprocess
 import sys
 import weakref
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial, wraps
 from inspect import signature
 from subprocess import PIPE, STDOUT, Popen, TimeoutExpired
@@ -128,10 +128,11 @@ def _polled(process: Popen[Any]) -> int | None:
 @wraps(_send_signal)
 def _signalled(process: Popen[Any], sig: int) -> None:
     """Stand in for Popen.send_signal, terminate and kill; return once the child is dead by it."""
-    is_end = process in _joined and process.returncode is None and _ends(process.pid, sig)
-    _send_signal(process, sig)
-    if is_end:
-        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    if process not in _joined or process.returncode is not None:
+        _send_signal(process, sig)
+        return
+    with death_awaited(process.pid, sig):
+        _send_signal(process, sig)
 
 
 @wraps(_communicate)
@@ -315,6 +316,19 @@ def await_here(look: Callable[[], bool], timeout_s: float | None) -> bool:
     left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
     with program.children.watching():
         return program.runtime.wait_for_parties(look, left_s)
+
+
+@contextmanager
+def death_awaited(pid: int, number: int) -> Iterator[None]:
+    """Wait, after the block, for the end of a child that this signal kills.
+
+    It dies at once, but on the wall clock: without this, at a random time of the rig.
+    """
+    is_end = _ends(pid, number)
+    yield
+    if is_end:
+        with suppress(ChildProcessError):
+            os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
 
 def is_ready(fd: int, is_written: bool) -> bool:

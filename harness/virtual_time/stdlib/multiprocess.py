@@ -21,7 +21,7 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import SemLock
 from typing import Any, Final
 
-from motorhil.harness.virtual_time.stdlib.children import await_here, is_ready
+from motorhil.harness.virtual_time.stdlib.children import await_here, death_awaited, is_ready
 from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
 from motorhil.harness.virtual_time.stdlib.threads import on_wall, party_here, program_here
 
@@ -36,6 +36,7 @@ _FOR_PROCESSES: Final = (
     *("Pool", "Queue", "RLock", "Semaphore", "SimpleQueue"),
 )
 _start, _popen_wait = BaseProcess.start, Popen.wait
+_kill: Callable[[Popen, int], None] = Popen._send_signal  # type: ignore[attr-defined]  # noqa: SLF001 -- of terminate and kill
 _spawnv = util.spawnv_passfds
 _recv, _send = Connection._recv, Connection._send  # type: ignore[attr-defined]  # noqa: SLF001 -- where it blocks
 _make_methods: Callable[[Any], None] = SemLock._make_methods  # type: ignore[attr-defined]  # noqa: SLF001 -- where it gets its functions
@@ -58,6 +59,7 @@ def methods() -> list[tuple[type, str, object]]:
     return [
         (BaseProcess, "start", _started),
         (Popen, "wait", _waited),
+        (Popen, "_send_signal", _signalled),
         (Connection, "_recv", _received),
         (Connection, "_send", _sent),
         (SemLock, "_make_methods", _with_methods),
@@ -150,6 +152,16 @@ def _waited(process: Popen, timeout: float | None = None) -> int | None:
         await_here(lambda: process.poll() is not None, timeout)
         return process.poll()
     return _popen_wait(process, timeout)
+
+
+@wraps(_kill)
+def _signalled(process: Popen, number: int) -> None:
+    """Stand in for terminate and kill; return once the process is dead by it."""
+    if process.returncode is not None or party_here() is None or not _has_children():
+        _kill(process, number)
+        return
+    with death_awaited(process.pid, number):
+        _kill(process, number)
 
 
 @wraps(_recv)

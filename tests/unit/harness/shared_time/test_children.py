@@ -243,6 +243,41 @@ def test_spawned_pools_and_pipes_wait_in_the_time_of_the_rig(run):
     ]
 
 
+def test_process_that_is_ended_is_dead_at_that_time(run):
+    code = in_main(
+        "process = spawn.Process(target=time.sleep, args=(100,))",
+        "process.start()",
+        "time.sleep(0.5)",
+        "process.terminate()",
+        "process.join()",
+        "tell(process.exitcode)",
+        "spawn.Process(target=time.sleep, args=(100,), daemon=True).start()",
+    )
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines[0] == "-15 at 0.50"
+    assert all("has left the rig: its connection has ended" in line for line in lines[1:])
+
+
+def test_child_in_a_callback_is_refused(run):
+    code = """
+import can
+import motorhil
+rig = motorhil.join()
+def start(*facts):
+    subprocess.run([sys.executable, "-c", "print(1)"])
+bus = rig.bus("can0")
+rig.runtime.listen(bus, start)
+bus.send(can.Message(arbitration_id=1))
+try:
+    rig.runtime.run_for(0.1)
+except Exception as error:
+    print(error)
+"""
+    lines, _ = run(code)
+    assert "starts a child in a callback; expected a turn of the program" in lines[0]
+
+
 def test_forked_process_is_refused(run):
     code = in_main(
         'try: multiprocessing.get_context("fork").Process(target=square).start()',
