@@ -35,6 +35,7 @@ RIG_VARIABLE: Final = "MOTORHIL_RIG"
 """Environment variable of programs: the rig file."""
 JOIN_S: Final = 10.0
 _LOOK_S: Final = 0.1
+_LATE_MAX: Final = 1_024  # records; the buffer of a connection holds fewer
 _PEER: Final = struct.Struct("3i")  # pid, uid, gid
 _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 
@@ -42,6 +43,33 @@ _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 @final
 class JoinError(Exception):
     """Programs did not join; the message names them."""
+
+
+@final
+class _Turn:
+    """The turn that a program has, on the wall clock.
+
+    Records that wait after the limit may be older than a pause of this process, so that some are
+    served.
+
+    Attributes:
+        is_due: True once the program has kept the turn for too long.
+        is_told: True once that was told, and the program killed.
+    """
+
+    def __init__(self) -> None:
+        self.is_due: bool = False
+        self.is_told: bool = False
+        self._began_s = time.monotonic()
+        self._late = 0
+
+    def is_over(self, stall_s: float, is_heard: bool) -> bool:
+        """Look at the clock; return whether a killed program still keeps the turn."""
+        kept_s = time.monotonic() - self._began_s
+        if kept_s > stall_s:
+            self._late += 1
+            self.is_due = self.is_due or not is_heard or self._late > _LATE_MAX
+        return self.is_told and kept_s > 2.0 * stall_s
 
 
 @final
@@ -97,6 +125,7 @@ class SharedClock:
         self._listener.listen()
         self._tokens: dict[tuple[str, int], list[int]] = {}
         self._pids: dict[int, str] = {}
+        self._turn = _Turn()
 
     def watch(self, fd: int, take: Callable[[], bool]) -> None:
         """Call `take` when `fd` is readable, until it returns False."""
@@ -156,15 +185,21 @@ class SharedClock:
         head = records.WELCOMED.pack(
             records.WELCOME, records.VERSION, self.runtime.now_ns(), self._seed
         )
-        connection.send(head + json.dumps(buses).encode())
+        try:
+            connection.send(head + json.dumps(buses).encode())
+        except OSError:  # it has ended since; whoever looks after its process tells
+            connection.close()
+            return None
         return Participant(name, connection, self)
 
     def are_gone(self) -> bool:
         """Return whether all programs have left."""
         return all(program.is_gone for program in self._programs)
 
-    def receive(self, participant: Participant) -> bytes:
+    def receive(self, participant: Participant, is_first: bool) -> bytes:
         """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
+        if is_first:
+            self._turn = _Turn()
         self._poll.register(participant.connection, select.POLLIN)
         try:
             return self._awaited(participant)
@@ -172,32 +207,31 @@ class SharedClock:
             self._poll.unregister(participant.connection)
 
     def _awaited(self, participant: Participant) -> bytes:
-        connection = participant.connection
-        stall_s = self._stalls_s[participant.name]
-        asked_s = told_s = 0.0
+        connection, turn = participant.connection, self._turn
         while True:
-            ready = self._poll.poll(1000.0 * _LOOK_S)
-            for fd, _ in ready:
+            ready = [fd for fd, _ in self._poll.poll(1000.0 * _LOOK_S)]
+            for fd in ready:
                 if fd in self._outputs:
                     self._take(fd)
-            if any(fd == connection.fileno() for fd, _ in ready):
+            is_heard = connection.fileno() in ready
+            if turn.is_over(self._stalls_s[participant.name], is_heard):
+                return b""  # it cannot be killed: its connection is closed
+            if turn.is_due and not turn.is_told:
+                self._end_stalled(participant.name)
+            if is_heard:
                 try:
                     return connection.recv(records.RECORD_MAX)
                 except OSError:
                     return b""
-            now_s = time.monotonic()
-            asked_s = asked_s or now_s
-            if now_s - asked_s > stall_s and not told_s:
-                told_s = now_s
-                self._tell(
-                    participant.name,
-                    "error",
-                    f"has kept the turn for {stall_s:g} s of wall time, and no virtual time"
-                    " passes; expected a wait; it is killed",
-                )
-                self._end(participant.name)
-            if told_s and now_s - told_s > stall_s:
-                return b""  # it cannot be killed: its connection is closed
+
+    def _end_stalled(self, name: str) -> None:
+        self._turn.is_told = True
+        text = (
+            f"has kept the turn for {self._stalls_s[name]:g} s of wall time, and no virtual time"
+            " passes; expected a wait; it is killed"
+        )
+        self._tell(name, "error", text)
+        self._end(name)
 
     def _take(self, fd: int) -> None:
         if not self._outputs[fd]():

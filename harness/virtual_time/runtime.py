@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 UNKNOWN: Final = 0
 _NEVER: Final = -1
-_END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
+END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
 _STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
 _POLLS_MAX: Final = 1_000_000
 _SIGNAL_TURNS: Final = 256  # compiled code must check for signals now and then
@@ -201,8 +201,8 @@ class VirtualRuntime:
             if timeout_s == 0.0 and self.on_poll is not None:
                 self.on_poll()
             deadline_ns = self.queue.now_ns + round(min(timeout_s, 1e9) * 1e9)
-            if deadline_ns > _END_NS:
-                raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {_END_NS / 1e9} s")
+            if deadline_ns > END_NS:
+                raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {END_NS / 1e9} s")
             if deadline_ns == self.queue.now_ns:
                 self._count_poll()
         waiter = Waiter(party, done, deadline_ns, on_parties)
@@ -480,7 +480,7 @@ class VirtualRuntime:
                 if deadline_ns == _NEVER:
                     self._nothing_will_happen("all parties have waited for one another for an hour")
                     continue
-                stuck_ns = _END_NS
+                stuck_ns = END_NS
             if due_ns > now_ns or not is_event:
                 self._polls = 0
             if self._pace is not None:
