@@ -159,6 +159,10 @@ class SerialLine:
         self.busy_ns += end_ns - start_ns
         return end_ns
 
+    def pending(self, port: int) -> int:
+        """Return the number of characters of this port that are not yet on the line whole."""
+        return sum(len(burst.data) for burst in self._bursts if burst.port == port)
+
     # ---- time ----
 
     def next_deadline_ns(self) -> int | None:

@@ -104,6 +104,10 @@ class LineHost(Endpoint):
         """Send these characters."""
         self._segment.submit(self.port, data, self._segment.queue.now_ns)
 
+    def pending(self) -> int:
+        """Return the number of its characters that are not yet sent."""
+        return self._segment.pending(self.port)
+
     def close(self) -> None:
         """Stop deliveries to the application."""
         self._segment.remove_listener(self)
@@ -127,6 +131,10 @@ class SerialSegment(LineSegment):
         host = LineHost(name, self.line.attach(name), self, listener)
         self.endpoints.append(host)
         return host
+
+    def pending(self, port: int) -> int:
+        """Return the number of characters of this port that are not yet sent."""
+        return self.line.pending(port)
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """Let the port begin to send."""
@@ -212,6 +220,10 @@ class TcpSegment(LineSegment):
             del self._clients[connection]
             self._pipe.close(connection)
             self.gateway.forget(connection)
+
+    def pending(self, port: int) -> int:
+        """Return the number of bytes of this connection that have not yet arrived."""
+        return self._pipe.pending(self._connections.get(port, GONE))
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """Process the bytes of a client, or the response of a controller."""

@@ -289,11 +289,20 @@ class EmulatedBus(can.BusABC):
         return self._queue.dropped
 
     def transmit(self, frame: bytes) -> None:
-        """Queue the frame for transmission on the bus."""
+        """Queue the frame for transmission on the bus.
+
+        Raises:
+            CanOperationError: it is closed, or too many frames wait already.
+        """
         if self._is_shutdown:
             self._check_open()
         if self._port is not None:
             self._port.send(frame)
+            if self._limit is not None:
+                try:
+                    self._limit.count()
+                except ValueError as error:
+                    raise CanOperationError(str(error)) from None
         elif self._hub is not None:
             self._hub.send(frame)
 
@@ -345,8 +354,6 @@ class EmulatedBus(can.BusABC):
             )
         try:
             self.transmit(to_frame(msg))
-            if self._limit is not None:
-                self._limit.count()
         except ValueError as error:
             raise CanOperationError(str(error)) from error
 

@@ -73,7 +73,7 @@ class Participant:
         self._parties: Final[dict[int, VirtualParty]] = {}
         self._waits: Final[dict[int, Waiter]] = {}
         self._ports: Final[dict[int, tuple[str, HostPort | LineHost]]] = {}
-        self._limits: Final[dict[int, SendLimit]] = {}  # of ports on CAN
+        self._limits: Final[dict[int, SendLimit]] = {}
         self._periods: Final[dict[int, Registration]] = {}
         self._postponed: Final[list[bytes]] = []
         self._takers: Final[dict[int, Callable[[bytes], None]]] = {
@@ -182,7 +182,9 @@ class Participant:
         number = self._free_port()
         hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
         if bus in world.line_names():
-            self._opened(number, bus, world.add_line_host(bus, "host", hear))
+            connection = world.add_line_host(bus, "host", hear)
+            self._limits[number] = SendLimit(connection, bus, "characters")
+            self._opened(number, bus, connection)
             return
 
         def hear_classical(frame: bytes, time_ns: int, transmitted: bool) -> None:
@@ -212,19 +214,18 @@ class Participant:
     def _close_port(self, record: bytes) -> None:
         _, number = records.NUMBERED.unpack_from(record)
         self._ports.pop(number)[1].close()
-        self._limits.pop(number, None)
+        del self._limits[number]
 
     def _submit(self, record: bytes) -> None:
         _, number = records.NUMBERED.unpack_from(record)
-        port, data = self._ports[number][1], record[records.NUMBERED.size :]
-        limit = self._limits.get(number)
-        if limit is None:  # a line
-            port.send(data)
-            return
-        if len(data) not in _FRAME_SIZES:
-            raise RecordError(f"frame of {len(data)} bytes")
-        port.send(as_driven(data))
-        limit.count()
+        bus, port = self._ports[number]
+        data = record[records.NUMBERED.size :]
+        if bus not in self._seat.world.line_names():
+            if len(data) not in _FRAME_SIZES:
+                raise RecordError(f"frame of {len(data)} bytes")
+            data = as_driven(data)
+        port.send(data)
+        self._limits[number].count()
 
     def _note(self, record: bytes) -> None:
         bus, port = self._port(record)

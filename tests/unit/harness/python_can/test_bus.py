@@ -200,8 +200,10 @@ def test_frames_that_wait_without_end_are_refused(rig, monkeypatch):
     with emulated() as bus:
         for _ in range(3_071):
             bus.send(message(0x100))
-        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait .* at most 3000"):
+        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait; .* at most 3000"):
             bus.send(message(0x100))
         rig.run_for(2.0)
-        for _ in range(2_000):
-            bus.send(message(0x100))
+        for _ in range(3_071):
+            rig.send(bus, bytes(16))
+        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait"):
+            rig.send(bus, bytes(16))

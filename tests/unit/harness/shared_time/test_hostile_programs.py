@@ -111,7 +111,7 @@ def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_
                 pass
 
     left, _ = run_with(tmp_path / "clock", bad)
-    assert "can0: 1024 frames wait for the bus; expected at most 1000" in left["bad"]
+    assert "can0: 1024 frames wait; expected at most 1000" in left["bad"]
 
 
 def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
