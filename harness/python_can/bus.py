@@ -244,9 +244,12 @@ class EmulatedBus(can.BusABC):
                     f"fd=True: bus {self.channel} is classical CAN; give [bus.{self.channel}] "
                     "of the rig a data_bitrate_bit_s"
                 )
-            self._port = world.add_host(
-                self.channel, "host", self._queue.receive, self._receive_error
-            )
+            try:
+                self._port = world.add_host(
+                    self.channel, "host", self._queue.receive, self._receive_error
+                )
+            except ValueError as error:  # the bus is full
+                raise CanInitializationError(str(error)) from None
             self._limit = SendLimit(self._port, self.channel)
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)

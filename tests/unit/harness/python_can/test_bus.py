@@ -1,3 +1,5 @@
+from contextlib import ExitStack
+
 import can
 import pytest
 
@@ -192,6 +194,15 @@ def test_unread_bus_drops_oldest_frames_and_counts_them(rig, monkeypatch):
         rig.run_for(0.01)
         assert two.dropped == 2
         assert two.recv(0.0).arbitration_id == 0x202
+
+
+def test_bus_without_a_free_port_refuses_as_python_can_does(rig, monkeypatch):
+    monkeypatch.setattr("motorhil.emulators.can.bus.bus.PORT_MASK", 3)
+    with ExitStack() as stack:
+        for _ in range(3):
+            stack.enter_context(emulated())
+        with pytest.raises(can.CanInitializationError, match="limit is 4"):
+            emulated()
 
 
 def test_frames_that_wait_without_end_are_refused(rig, monkeypatch):
