@@ -109,6 +109,10 @@ class VirtualParty:
         """Return True if it has ended."""
         return self.finished
 
+    def owes_error(self) -> bool:
+        """Return True if it raised an exception that no `join` has seen."""
+        return self.error is not None and not self.joined
+
 
 @final
 class PartyThread(threading.Thread):
@@ -231,6 +235,7 @@ class VirtualRuntime:
             target=self.run_party, args=(party, function), name=f"party {name}", daemon=True
         )
         party.thread.start()  # first, so that its thread exists when it gets a turn
+        self._spawned = [one for one in self._spawned if not one.finished or one.owes_error()]
         self._spawned.append(party)
         self.enrol(party)
         return party
@@ -374,7 +379,7 @@ class VirtualRuntime:
                     "BaseException"
                 )
         for party in self._spawned:
-            if party.error is not None and not party.joined:
+            if party.error is not None and party.owes_error():
                 raise party.error
 
     # --- turns -----------------------------------------------------------------------------
