@@ -101,7 +101,9 @@ class LineHost(Endpoint):
             self._listener(frame, now_ns, True)
 
     def send(self, data: bytes) -> None:
-        """Send these characters."""
+        """Send these characters, unless it is closed."""
+        if self.is_closed:
+            return  # its port may be another's
         self._segment.submit(self.port, data, self._segment.queue.now_ns)
 
     def pending(self) -> int:
@@ -126,7 +128,13 @@ class SerialSegment(LineSegment):
         return self.line.attach(name)
 
     def add_host(self, name: str, listener: HostListener) -> LineHost:
-        """Return a new port for an application on the line."""
+        """Return a new port for an application on the line, or that of one that has left."""
+        for number, left in enumerate(self.endpoints):
+            if isinstance(left, LineHost) and left.is_closed:
+                own = name if left.name == name else self.free_name(name)
+                if self.line.hand_over(number, own):
+                    host = self.endpoints[number] = LineHost(own, number, self, listener)
+                    return host
         name = self.free_name(name)
         host = LineHost(name, self.line.attach(name), self, listener)
         self.endpoints.append(host)
