@@ -22,6 +22,8 @@ from motorhil.emulators.simulation.serial_network import SerialSegment
 from motorhil.emulators.simulation.world import World
 
 _PIECE: Final = 4096
+_FRAMES_MAX: Final = 256  # that wait for the line
+_CHARACTERS_MAX: Final = 16_384
 _SILENCE_NS: Final = 20_000_000  # longer than an interruption of a writer
 
 
@@ -93,8 +95,12 @@ class ModbusPty:
         return self._master
 
     def sources(self) -> Sequence[Source]:
-        """Return the terminal as the only source."""
-        return self._sources
+        """Return the terminal as the only source, unless the line is behind.
+
+        Then a client's further data wait in the terminal, and its writes with them.
+        """
+        is_full = len(self._frames) >= _FRAMES_MAX or self._host.pending() >= _CHARACTERS_MAX
+        return () if is_full else self._sources
 
     def readable(self, source: Source) -> None:
         """Process what a client has written."""

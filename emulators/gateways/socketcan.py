@@ -25,6 +25,7 @@ _KIND: Final = 1
 _MESSAGE: Final = struct.Struct("=IHHII BxHiII")  # nlmsghdr and ifinfomsg
 _ATTRIBUTE: Final = struct.Struct("=HH")
 _ANSWER_MAX: Final = 1 << 16
+_QUEUE_MAX: Final = 1_024  # frames from outside that wait for the bus
 
 
 def link_kind(interface: str) -> str:
@@ -153,13 +154,22 @@ class SocketCanGateway:
             self.refused += 1
 
     def sources(self) -> Sequence[Source]:
-        """Return the CAN_RAW socket as the only source."""
-        return [self._socket]
+        """Return the CAN_RAW socket as the only source, unless the emulated bus is behind."""
+        return [] if self._is_full() else [self._socket]
+
+    def _is_full(self) -> bool:
+        return self._port.pending() >= _QUEUE_MAX
 
     def readable(self, source: Source) -> None:
-        """Queue frames from outside for the emulated bus."""
+        """Queue frames from outside for the emulated bus.
+
+        A virtual interface has no bit rate. What it brings too fast waits in the kernel, which
+        drops what its own queue does not hold.
+        """
         with contextlib.suppress(BlockingIOError):
-            while True:
+            for _ in range(_QUEUE_MAX):
+                if self._is_full():
+                    return
                 frame = self._socket.recv(FD_FRAME_BYTES)
                 try:
                     self._port.send(as_driven(frame))

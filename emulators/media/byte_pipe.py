@@ -104,6 +104,10 @@ class BytePipe:
         self._turn += 1
         heappush(self._waiting, (due_ns, self._turn, data, connection, to_server))
 
+    def pending(self, connection: int) -> int:
+        """Return the number of bytes of the connection on their way to the server."""
+        return sum(len(one[2]) for one in self._waiting if one[3] == connection and one[4])
+
     def next_deadline_ns(self) -> int | None:
         """Return the time of the next arrival [ns], or None if nothing is in transit."""
         waiting = self._waiting

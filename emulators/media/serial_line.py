@@ -159,6 +159,17 @@ class SerialLine:
         self.busy_ns += end_ns - start_ns
         return end_ns
 
+    def hand_over(self, port: int, name: str) -> bool:
+        """Give a port that is no longer used another name; return False while it is heard."""
+        if self.pending(port) or (self._frame and self._frame_port == port):
+            return False
+        self._names[port] = name
+        return True
+
+    def pending(self, port: int) -> int:
+        """Return the number of characters of this port that are not yet on the line whole."""
+        return sum(len(burst.data) for burst in self._bursts if burst.port == port)
+
     # ---- time ----
 
     def next_deadline_ns(self) -> int | None:

@@ -101,8 +101,14 @@ class LineHost(Endpoint):
             self._listener(frame, now_ns, True)
 
     def send(self, data: bytes) -> None:
-        """Send these characters."""
+        """Send these characters, unless it is closed."""
+        if self.is_closed:
+            return  # its port may be another's
         self._segment.submit(self.port, data, self._segment.queue.now_ns)
+
+    def pending(self) -> int:
+        """Return the number of its characters that are not yet sent."""
+        return self._segment.pending(self.port)
 
     def close(self) -> None:
         """Stop deliveries to the application."""
@@ -122,11 +128,21 @@ class SerialSegment(LineSegment):
         return self.line.attach(name)
 
     def add_host(self, name: str, listener: HostListener) -> LineHost:
-        """Return a new port for an application on the line."""
+        """Return a new port for an application on the line, or that of one that has left."""
+        for number, left in enumerate(self.endpoints):
+            if isinstance(left, LineHost) and left.is_closed:
+                own = name if left.name == name else self.free_name(name)
+                if self.line.hand_over(number, own):
+                    host = self.endpoints[number] = LineHost(own, number, self, listener)
+                    return host
         name = self.free_name(name)
         host = LineHost(name, self.line.attach(name), self, listener)
         self.endpoints.append(host)
         return host
+
+    def pending(self, port: int) -> int:
+        """Return the number of characters of this port that are not yet sent."""
+        return self.line.pending(port)
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """Let the port begin to send."""
@@ -212,6 +228,10 @@ class TcpSegment(LineSegment):
             del self._clients[connection]
             self._pipe.close(connection)
             self.gateway.forget(connection)
+
+    def pending(self, port: int) -> int:
+        """Return the number of bytes of this connection that have not yet arrived."""
+        return self._pipe.pending(self._connections.get(port, GONE))
 
     def submit(self, port: int, frame: bytes, now_ns: int) -> None:
         """Process the bytes of a client, or the response of a controller."""

@@ -244,9 +244,12 @@ class EmulatedBus(can.BusABC):
                     f"fd=True: bus {self.channel} is classical CAN; give [bus.{self.channel}] "
                     "of the rig a data_bitrate_bit_s"
                 )
-            self._port = world.add_host(
-                self.channel, "host", self._queue.receive, self._receive_error
-            )
+            try:
+                self._port = world.add_host(
+                    self.channel, "host", self._queue.receive, self._receive_error
+                )
+            except ValueError as error:  # the bus is full
+                raise CanInitializationError(str(error)) from None
             self._limit = SendLimit(self._port, self.channel)
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)
@@ -289,11 +292,20 @@ class EmulatedBus(can.BusABC):
         return self._queue.dropped
 
     def transmit(self, frame: bytes) -> None:
-        """Queue the frame for transmission on the bus."""
+        """Queue the frame for transmission on the bus.
+
+        Raises:
+            CanOperationError: it is closed, or too many frames wait already.
+        """
         if self._is_shutdown:
             self._check_open()
         if self._port is not None:
             self._port.send(frame)
+            if self._limit is not None:
+                try:
+                    self._limit.count()
+                except ValueError as error:
+                    raise CanOperationError(str(error)) from None
         elif self._hub is not None:
             self._hub.send(frame)
 
@@ -345,8 +357,6 @@ class EmulatedBus(can.BusABC):
             )
         try:
             self.transmit(to_frame(msg))
-            if self._limit is not None:
-                self._limit.count()
         except ValueError as error:
             raise CanOperationError(str(error)) from error
 

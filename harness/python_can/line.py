@@ -7,6 +7,7 @@ gateway's line (TCP), `send` and `listen` are the two directions of one connecti
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol, final
 
+from motorhil.harness.python_can.send_limit import SendLimit
 from motorhil.motorapi.errors import LinkError
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ class LinePort(Protocol):
 
     def send(self, data: bytes, /) -> None:
         """Send these characters."""
+
+    def pending(self) -> int:
+        """Return the number of its characters that are not yet sent."""
 
     def close(self) -> None:
         """Stop deliveries to the application."""
@@ -87,6 +91,7 @@ class EmulatedLine:
         self._reads = True
         self._listeners: list[DataListener] = []
         self._port: LinePort = world.add_line_host(name, "host", self._receive)
+        self._limit = SendLimit(self._port, name, "characters")
 
     def duration_ns(self, characters: int) -> int:
         """Return the transmission time of this many characters [ns]; 0 on a gateway's line."""
@@ -96,11 +101,15 @@ class EmulatedLine:
         """Send these characters now.
 
         Raises:
-            LinkError: the line is closed.
+            LinkError: the line is closed, or too many characters wait already.
         """
         if self.is_closed:
             raise LinkError(link=self.name, reason="the connection is closed")
         self._port.send(data)
+        try:
+            self._limit.count()
+        except ValueError as error:
+            raise LinkError(link=self.name, reason=str(error)) from None
 
     def set_reading(self, reads: bool) -> None:
         """Pass on what comes, or drop it: answers to other programs that share the line."""
@@ -127,6 +136,7 @@ class EmulatedLine:
             raise LinkError(link=self.name, reason="the connection is closed")
         closed = self._port
         self._port = self._world.add_line_host(self.name, "host", self._receive)
+        self._limit = SendLimit(self._port, self.name, "characters")
         closed.close()  # only now, so that two connections in a row have two names
         self.is_closed = False
 

@@ -10,7 +10,7 @@ from motorhil.emulators.simulation.ownership_notice import unpack_owns
 from motorhil.harness.python_can.send_limit import SendLimit
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
-from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter
+from motorhil.harness.virtual_time.runtime import END_NS, VirtualParty, VirtualRuntime, Waiter
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Registration
 
 _FRAME_SIZES: Final = (FRAME_BYTES, FD_FRAME_BYTES)
-_PORTS_MAX: Final = 256
+_PORTS_MAX: Final = 256  # open at one time
+_PORT_NUMBERS: Final = 1 << 16
 _PERIODS_MAX: Final = 4096
 _PARTIES_MAX: Final = 1024
 
@@ -40,8 +41,8 @@ class Seat(Protocol):
     def runtime(self) -> VirtualRuntime:
         """The rig's time."""
 
-    def receive(self, participant: "Participant") -> bytes:
-        """Return the next record of the program; b"" if it has gone."""
+    def receive(self, participant: "Participant", is_first: bool) -> bytes:
+        """Return the next record of the program, the first of its turn; b"" if it has gone."""
 
     def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
         """Return the notice of a program without what differs in each run."""
@@ -70,11 +71,12 @@ class Participant:
         self._seat: Final[Seat] = seat
         self._has_turn = False
         self._ready = records.NO_WAIT
+        self._next_port = 0
         self._checked = 0
         self._parties: Final[dict[int, VirtualParty]] = {}
         self._waits: Final[dict[int, Waiter]] = {}
         self._ports: Final[dict[int, tuple[str, HostPort | LineHost]]] = {}
-        self._limits: Final[dict[int, SendLimit]] = {}  # of ports on CAN
+        self._limits: Final[dict[int, SendLimit]] = {}
         self._periods: Final[dict[int, Registration]] = {}
         self._postponed: Final[list[bytes]] = []
         self._takers: Final[dict[int, Callable[[bytes], None]]] = {
@@ -147,8 +149,10 @@ class Participant:
 
     def _serve(self) -> None:
         """Take records of the program until it is idle, or has gone."""
+        is_first = True
         while not self.is_gone:
-            record = self._seat.receive(self)
+            record = self._seat.receive(self, is_first)
+            is_first = False
             if not record:
                 self._depart("its connection has ended")
                 return
@@ -176,13 +180,15 @@ class Participant:
     def _open(self, record: bytes) -> None:
         _, fd = records.NUMBERED.unpack_from(record)
         bus = records.text_of(record, records.NUMBERED.size)
-        number = len(self._ports)
         world = self._seat.world
-        if bus not in (*world.bus_names(), *world.line_names()) or number == _PORTS_MAX:
-            raise RecordError(f"bus {bus!r} cannot be opened")
+        if bus not in (*world.bus_names(), *world.line_names()) or len(self._ports) == _PORTS_MAX:
+            raise RecordError(f"bus {bus!r} cannot be opened; {len(self._ports)} ports are open")
+        number = self._free_port()
         hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
         if bus in world.line_names():
-            self._opened(number, bus, world.add_line_host(bus, "host", hear))
+            connection = world.add_line_host(bus, "host", hear)
+            self._limits[number] = SendLimit(connection, bus, "characters")
+            self._opened(number, bus, connection)
             return
 
         def hear_classical(frame: bytes, time_ns: int, transmitted: bool) -> None:
@@ -193,6 +199,14 @@ class Participant:
         self._limits[number] = SendLimit(port, bus)
         self._opened(number, bus, port)
 
+    def _free_port(self) -> int:
+        """Return the number for a port; that of a closed one comes last."""
+        while self._next_port in self._ports:
+            self._next_port = (self._next_port + 1) % _PORT_NUMBERS
+        number = self._next_port
+        self._next_port = (number + 1) % _PORT_NUMBERS
+        return number
+
     def _opened(self, number: int, bus: str, port: "HostPort | LineHost") -> None:
         self._ports[number] = bus, port
         self._send(records.numbered(records.OPENED, number, port.name))
@@ -202,19 +216,20 @@ class Participant:
         return self._ports[number]
 
     def _close_port(self, record: bytes) -> None:
-        self._port(record)[1].close()
+        _, number = records.NUMBERED.unpack_from(record)
+        self._ports.pop(number)[1].close()
+        del self._limits[number]
 
     def _submit(self, record: bytes) -> None:
         _, number = records.NUMBERED.unpack_from(record)
-        port, data = self._ports[number][1], record[records.NUMBERED.size :]
-        limit = self._limits.get(number)
-        if limit is None:  # a line
-            port.send(data)
-            return
-        if len(data) not in _FRAME_SIZES:
-            raise RecordError(f"frame of {len(data)} bytes")
-        port.send(as_driven(data))
-        limit.count()
+        bus, port = self._ports[number]
+        data = record[records.NUMBERED.size :]
+        if bus not in self._seat.world.line_names():
+            if len(data) not in _FRAME_SIZES:
+                raise RecordError(f"frame of {len(data)} bytes")
+            data = as_driven(data)
+        port.send(data)
+        self._limits[number].count()
 
     def _note(self, record: bytes) -> None:
         bus, port = self._port(record)
@@ -227,8 +242,8 @@ class Participant:
 
     def _every(self, record: bytes) -> None:
         _, number, period_ns = records.PERIOD.unpack(record)
-        if len(self._periods) == _PERIODS_MAX:
-            raise RecordError(f"more than {_PERIODS_MAX} periods")
+        if len(self._periods) == _PERIODS_MAX or number in self._periods:
+            raise RecordError(f"period {number}: used, or beyond {_PERIODS_MAX} periods")
         expire = partial(self._expire, number)
         self._periods[number] = self._seat.runtime.every(period_ns / 1e9, expire)
 
@@ -238,8 +253,8 @@ class Participant:
 
     def _name_party(self, record: bytes) -> None:
         _, number = records.NUMBERED.unpack_from(record)
-        if len(self._parties) == _PARTIES_MAX:
-            raise RecordError(f"more than {_PARTIES_MAX} parties")
+        if number >= _PARTIES_MAX:
+            raise RecordError(f"party {number}: expected 0 to {_PARTIES_MAX - 1}")
         own = records.text_of(record, records.NUMBERED.size)
         party = VirtualParty(f"{self.name}/{own}" if number else self.name, self._seat.runtime)
         party.is_first = number == 0
@@ -248,6 +263,8 @@ class Participant:
 
     def _wait(self, record: bytes) -> None:
         _, number, party, flags, deadline_ns = records.WAITING.unpack(record)
+        if number in self._waits or len(self._waits) == _PARTIES_MAX or deadline_ns > END_NS:
+            raise RecordError(f"wait {number}: used, beyond {_PARTIES_MAX} waits, or too long")
         done = partial(self._holds, number, bool(flags & WaitFlags.PROCESSES))
         on_parties = bool(flags & WaitFlags.PARTIES)
         runtime = self._seat.runtime

@@ -6,13 +6,14 @@ programs join before their first line; others join by `motorhil.join()`, or by t
 """
 
 import os
+import select
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
 
 _GRACE_S: Final = 5.0
 _CHUNK: Final = 65_536
+_CHUNKS: Final = 4  # of output at once
+_LINE_MAX: Final = 1 << 20  # bytes without a line feed
+_LOOK_S: Final = 0.1
+_ENDED_S: Final = 0.001  # from the end of its output to that of a program
 
 
 @final
@@ -71,20 +76,24 @@ class _Process:
         os.set_blocking(self.fd, False)
 
     def drain(self) -> bool:
-        """Print the lines of output that are there; return False at the end of the output."""
-        while True:
+        """Print the lines of output that are there; return False at the end of the output.
+
+        A pipe holds no more than it reads at once, so that endless output holds nobody up.
+        """
+        for _ in range(_CHUNKS):
             try:
                 read = os.read(self.fd, _CHUNK)
             except BlockingIOError:
                 return True
             *lines, self._line = (self._line + read).split(b"\n")
-            if not read and self._line:
-                lines, self._line = [self._line], b""
+            if self._line and (not read or len(self._line) > _LINE_MAX):
+                lines, self._line = [*lines, self._line], b""
             for line in lines:
                 text = line.decode("utf-8", "replace").rstrip("\r")
                 self._tell(f"{self.description.name}: {text}")
             if not read:
                 return False
+        return True
 
     def end(self) -> None:
         """Kill it and its children."""
@@ -101,18 +110,26 @@ class _Process:
 
     def await_end(self) -> None:
         """Wait until its locks and files are free, which is just after its connection has ended."""
-        with suppress(subprocess.TimeoutExpired):
-            self.process.wait(_GRACE_S)
+        _await_ends([self], time.monotonic() + _GRACE_S)
 
-    def wait(self, until_s: float) -> int:
-        """Return its exit status; kill it at `until_s` of the monotonic clock."""
-        try:
-            status = self.process.wait(max(0.0, until_s - time.monotonic()))
-        except subprocess.TimeoutExpired:
+    def status(self) -> int:
+        """Return its exit status, after the last of its output; kill it if it still runs."""
+        if self.process.poll() is None:
             self.end()
-            status = self.process.wait()
+        status = self.process.wait()
         self.drain()
         return status
+
+
+def _await_ends(processes: Iterable[_Process], until_s: float) -> None:
+    """Wait for their ends, and print their output meanwhile, or a full pipe would prevent them."""
+    writing = {one.fd: one for one in processes}
+    running = list(writing.values())
+    while running and time.monotonic() < until_s:
+        for fd in select.select(list(writing), [], [], _LOOK_S if writing else _ENDED_S)[0]:
+            if not writing[fd].drain():
+                del writing[fd]
+        running = [one for one in running if one.process.poll() is None]
 
 
 def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
@@ -145,13 +162,13 @@ def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
         except KeyboardInterrupt:
             rig.runtime.wait_for_parties(clock.are_gone)  # each has had it in its wait
             raise
-        until_s = time.monotonic() + _GRACE_S
-        wrong: dict[str, str] = {}
-        for name, one in processes.items():
+        for one in processes.values():
             if not one.description.joins:
                 one.end()
-            status = one.wait(until_s)
-            reason = _failure(one, status, clock.left.get(name, ""))
+        _await_ends(processes.values(), time.monotonic() + _GRACE_S)
+        wrong: dict[str, str] = {}
+        for name, one in processes.items():
+            reason = _failure(one, one.status(), clock.left.get(name, ""))
             if reason:
                 wrong[name] = reason
         return wrong

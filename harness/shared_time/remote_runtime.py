@@ -8,6 +8,7 @@ their time, so that a program cannot see a difference to a rig of its own proces
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import count
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.simulation.event_queue import EventQueue
@@ -177,8 +178,10 @@ class RemoteRuntime(VirtualRuntime):
             if kind == records.HEARD or kind == records.TOLD:
                 _, number, time_ns, transmitted = records.DELIVERY.unpack_from(record)
                 self._advance(time_ns)
-                listener = self.ports[number][kind == records.TOLD]
-                listener(record[records.DELIVERY.size :], time_ns, bool(transmitted))
+                listeners = self.ports.get(number)
+                if listeners is not None:  # else closed in the turn in which this was sent
+                    listener = listeners[kind == records.TOLD]
+                    listener(record[records.DELIVERY.size :], time_ns, bool(transmitted))
             elif kind == records.EXPIRED:
                 _, number, time_ns = records.PERIOD.unpack(record)
                 self._advance(time_ns)
@@ -215,9 +218,17 @@ class RemoteRuntime(VirtualRuntime):
     def _number_of(self, party: VirtualParty) -> int:
         number = self._numbers.get(party)
         if number is None:
-            number = self._numbers[party] = 0 if party.is_first else len(self._numbers) + 1
+            number = self._numbers[party] = self._free_number(party)
             self._link.send(records.numbered(records.PARTY, number, party.name))
         return number
+
+    def _free_number(self, party: VirtualParty) -> int:
+        """Return 0 for the first party; for others the lowest number that no running one has."""
+        if party.is_first:
+            return 0
+        self._numbers = {one: at for one, at in self._numbers.items() if not one.finished}
+        used = set(self._numbers.values())
+        return next(number for number in count(1) if number not in used)
 
     def _first_ready(self) -> int:
         """Return the number of the first wait whose condition holds, or 0."""

@@ -40,6 +40,7 @@ JOIN_S: Final = 10.0
 _LOOK_S: Final = 0.1
 _GRACE_S: Final = 5.0
 _CHILDREN_MAX: Final = 256
+_LATE_MAX: Final = 1_024  # records; the buffer of a connection holds fewer
 _PEER: Final = struct.Struct("3i")  # pid, uid, gid
 _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 
@@ -70,6 +71,33 @@ class _Child:
         """Kill it."""
         with contextlib.suppress(ProcessLookupError):
             signal.pidfd_send_signal(self.fd, signal.SIGKILL)
+
+
+@final
+class _Turn:
+    """The turn that a program has, on the wall clock.
+
+    Records that wait after the limit may be older than a pause of this process, so that some are
+    served.
+
+    Attributes:
+        is_due: True once the program has kept the turn for too long.
+        is_told: True once that was told, and the program killed.
+    """
+
+    def __init__(self) -> None:
+        self.is_due: bool = False
+        self.is_told: bool = False
+        self._began_s = time.monotonic()
+        self._late = 0
+
+    def is_over(self, stall_s: float, is_heard: bool) -> bool:
+        """Look at the clock; return whether a killed program still keeps the turn."""
+        kept_s = time.monotonic() - self._began_s
+        if kept_s > stall_s:
+            self._late += 1
+            self.is_due = self.is_due or not is_heard or self._late > _LATE_MAX
+        return self.is_told and kept_s > 2.0 * stall_s
 
 
 @final
@@ -126,6 +154,7 @@ class SharedClock:
         self._tokens: dict[tuple[str, int], list[int]] = {}
         self._pids: dict[int, str] = {}
         self._children: dict[str, _Child] = {}
+        self._turn = _Turn()
 
     def watch(self, fd: int, take: Callable[[], bool]) -> None:
         """Call `take` when `fd` is readable, until it returns False."""
@@ -185,7 +214,11 @@ class SharedClock:
         head = records.WELCOMED.pack(
             records.WELCOME, records.VERSION, self.runtime.now_ns(), self._seed
         )
-        connection.send(head + json.dumps(buses).encode())
+        try:
+            connection.send(head + json.dumps(buses).encode())
+        except OSError:  # it has ended since; whoever looks after its process tells
+            connection.close()
+            return None
         return Participant(name, connection, self)
 
     def admit(self, parent: Participant, pid: int, name: str) -> str:
@@ -194,8 +227,13 @@ class SharedClock:
         Returns:
             Why it has not joined; "" if it has.
         """
+        reason = self._admitted(parent, pid, name)
+        self._turn = _Turn()  # to start a child takes its parent's time
+        return reason
+
+    def _admitted(self, parent: Participant, pid: int, name: str) -> str:
         if len(self._children) == _CHILDREN_MAX:
-            return f"the rig has {_CHILDREN_MAX} children already; it runs on the wall clock"
+            return f"the rig has {_CHILDREN_MAX} children at once; it runs on the wall clock"
         try:
             child = _Child(parent.name.partition("/")[0], os.pidfd_open(pid))
         except ProcessLookupError:
@@ -205,7 +243,7 @@ class SharedClock:
             found = self._accept([name])
             if found is not None:
                 self._children[name] = child
-                self._programs.append(found)
+                self._programs = [one for one in self._programs if not one.is_gone] + [found]
                 found.begin()
                 return ""
             if child.has_ended():
@@ -218,8 +256,10 @@ class SharedClock:
         """Return whether all programs have left."""
         return all(program.is_gone for program in self._programs)
 
-    def receive(self, participant: Participant) -> bytes:
+    def receive(self, participant: Participant, is_first: bool) -> bytes:
         """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
+        if is_first:
+            self._turn = _Turn()
         self._poll.register(participant.connection, select.POLLIN)
         try:
             return self._awaited(participant)
@@ -227,36 +267,41 @@ class SharedClock:
             self._poll.unregister(participant.connection)
 
     def _awaited(self, participant: Participant) -> bytes:
-        connection = participant.connection
-        child = self._children.get(participant.name)
-        stall_s = self._stalls_s[participant.name if child is None else child.program]
-        asked_s = told_s = 0.0
+        connection, turn = participant.connection, self._turn
+        stall_s = self._stall_s(participant.name)
         while True:
-            ready = self._poll.poll(1000.0 * _LOOK_S)
-            for fd, _ in ready:
+            ready = [fd for fd, _ in self._poll.poll(1000.0 * _LOOK_S)]
+            for fd in ready:
                 if fd in self._outputs:
                     self._take(fd)
-            if any(fd == connection.fileno() for fd, _ in ready):
+            is_heard = connection.fileno() in ready
+            if turn.is_over(stall_s, is_heard):
+                return b""  # it cannot be killed: its connection is closed
+            if turn.is_due and not turn.is_told:
+                self._end_stalled(participant.name)
+            if is_heard:
                 try:
                     return connection.recv(records.RECORD_MAX)
                 except OSError:
                     return b""
-            now_s = time.monotonic()
-            asked_s = asked_s or now_s
-            if now_s - asked_s > stall_s and not told_s:
-                told_s = now_s
-                self._tell(
-                    participant.name,
-                    "error",
-                    f"has kept the turn for {stall_s:g} s of wall time, and no virtual time"
-                    " passes; expected a wait; it is killed",
-                )
-                if child is None:
-                    self._end(participant.name)
-                else:
-                    child.end()
-            if told_s and now_s - told_s > stall_s:
-                return b""  # it cannot be killed: its connection is closed
+
+    def _end_stalled(self, name: str) -> None:
+        self._turn.is_told = True
+        text = (
+            f"has kept the turn for {self._stall_s(name):g} s of wall time, and no virtual time"
+            " passes; expected a wait; it is killed"
+        )
+        self._tell(name, "error", text)
+        child = self._children.get(name)
+        if child is None:
+            self._end(name)
+        else:
+            child.end()
+
+    def _stall_s(self, name: str) -> float:
+        """Return how long a program may keep the turn; a child as long as its program [s]."""
+        child = self._children.get(name)
+        return self._stalls_s[name if child is None else child.program]
 
     def _take(self, fd: int) -> None:
         if not self._outputs[fd]():
@@ -277,7 +322,8 @@ class SharedClock:
         self.left[participant.name] = reason
         child = self._children.get(participant.name)
         if child is not None:
-            child.has_ended(_GRACE_S)  # its parent sees its end, and all that it has written
+            if child.has_ended(_GRACE_S):  # its parent sees its end, and all that it has written
+                os.close(self._children.pop(participant.name).fd)
         elif reason:
             self._await_end(participant.name)
         if reason:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 UNKNOWN: Final = 0
 _NEVER: Final = -1
-_END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
+END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
 _STUCK_NS: Final = 3600 * 10**9  # limit for parties that wait only for one another
 _POLLS_MAX: Final = 1_000_000
 _SIGNAL_TURNS: Final = 256  # compiled code must check for signals now and then
@@ -108,6 +108,10 @@ class VirtualParty:
     def has_finished(self) -> bool:
         """Return True if it has ended."""
         return self.finished
+
+    def owes_error(self) -> bool:
+        """Return True if it raised an exception that no `join` has seen."""
+        return self.error is not None and not self.joined
 
 
 @final
@@ -201,8 +205,8 @@ class VirtualRuntime:
             if timeout_s == 0.0 and self.on_poll is not None:
                 self.on_poll()
             deadline_ns = self.queue.now_ns + round(min(timeout_s, 1e9) * 1e9)
-            if deadline_ns > _END_NS:
-                raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {_END_NS / 1e9} s")
+            if deadline_ns > END_NS:
+                raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {END_NS / 1e9} s")
             if deadline_ns == self.queue.now_ns:
                 self._count_poll()
         waiter = Waiter(party, done, deadline_ns, on_parties)
@@ -231,6 +235,7 @@ class VirtualRuntime:
             target=self.run_party, args=(party, function), name=f"party {name}", daemon=True
         )
         party.thread.start()  # first, so that its thread exists when it gets a turn
+        self._spawned = [one for one in self._spawned if not one.finished or one.owes_error()]
         self._spawned.append(party)
         self.enrol(party)
         return party
@@ -374,7 +379,7 @@ class VirtualRuntime:
                     "BaseException"
                 )
         for party in self._spawned:
-            if party.error is not None and not party.joined:
+            if party.error is not None and party.owes_error():
                 raise party.error
 
     # --- turns -----------------------------------------------------------------------------
@@ -480,7 +485,7 @@ class VirtualRuntime:
                 if deadline_ns == _NEVER:
                     self._nothing_will_happen("all parties have waited for one another for an hour")
                     continue
-                stuck_ns = _END_NS
+                stuck_ns = END_NS
             if due_ns > now_ns or not is_event:
                 self._polls = 0
             if self._pace is not None:

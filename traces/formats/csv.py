@@ -108,8 +108,8 @@ def _number(text: str) -> int:
 
 def _ours(row: Row) -> Frame:
     kind, direction = row["kind"], _WAYS[row["direction"]]
-    time_ns, bus = traffic.decimal_ns(row["time_s"]), row["bus"]
-    sender = row["sender"].removeprefix("'")
+    time_ns = traffic.decimal_ns(row["time_s"])
+    bus, sender = row["bus"].removeprefix("'"), row["sender"].removeprefix("'")
     if kind == "error":
         can_id = _can_id(row["id"], True) & ~can_frame.EFF | can_frame.ERR
     else:
@@ -195,7 +195,7 @@ def write_csv(file: TextIOBase, places: int, frames: Iterator[Frame]) -> None:
         rows.writerow(
             (
                 traffic.decimal(frame.time_ns, places),
-                traffic.one_word(frame.bus),
+                _text(traffic.one_word(frame.bus)),
                 f"{told.identifier:X}",
                 int(told.can_id & can_frame.EFF != 0),
                 kind,

@@ -67,6 +67,7 @@ _PP, _PV, _HM = 1, 3, 6
 _LINEAR, _DEGREES = 0x01, 0x41
 _CYCLE_NS: Final = 10_000_000
 _STEP_S: Final = 1.0  # for a state or a mode to follow
+_INT32_MAX: Final = 2**31 - 1
 _UINT32_MAX: Final = 0xFFFF_FFFF
 _ROUNDING: Final = 1e-9
 VELOCITY_UNITS: Final = ("position", "rpm")
@@ -348,6 +349,16 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         }
         if motion.variable is ControlVariable.VELOCITY:
             size = floor(abs(motion.target) * rate + _ROUNDING)
+            if size > _INT32_MAX:
+                raise LimitError(
+                    motor=self.label,
+                    quantity="velocity",
+                    value=size,
+                    low=-_INT32_MAX,
+                    high=_INT32_MAX,
+                    unit="drive units",
+                    reason="the range of 60FFh",
+                )
             speed = size if motion.target * per_unit > 0 else -size
             starts = [(_TARGET_VELOCITY, speed)]
             starts += [(_MODE, _PV)] if mode != _PV else []

@@ -400,14 +400,19 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
 
 
 def _stop_from(seen: bytes, quick_ramp: int, late_s: float) -> bytes:
-    """Return acceleration, velocity and goal of a stop from the registers 108 to 143."""
-    ramp, speed = quick_ramp or _number(seen, 0, 4), _number(seen, 4, 4)
+    """Return acceleration, velocity and goal of a stop from the registers 108 to 143.
+
+    A servo may tell values that it does not have; those sent are in its ranges.
+    """
+    ramp = min(quick_ramp or _number(seen, 0, 4), _REGISTER_MAX)
+    speed = min(_number(seen, 4, 4), _REGISTER_MAX)
     velocity = _number(seen, _TRAJECTORY - _RAMP_AT, 4, signed=True) * _SPEED
     position = _number(seen, _TRAJECTORY + 4 - _RAMP_AT, 4, signed=True)
     way = velocity * late_s
     if ramp:
         way += velocity * abs(velocity) / (2.0 * ramp * _RAMP)
-    return _bytes(ramp, speed, round(position + way))
+    goal = max(-_EXTENDED_MAX, min(_EXTENDED_MAX, round(position + way)))
+    return _bytes(ramp, speed, goal)
 
 
 def _units(value: float) -> int:

@@ -98,18 +98,23 @@ class MitMotor(CanMotor[MitHwMotor]):
 
     def _command(self, motion: Motion) -> None:
         require_time(self.name, motion)
-        limit, furthest = self.hardware.frames.ranges.p, motion.target
+        ranges, furthest = self.hardware.frames.ranges, motion.target
+        limit, unit = {
+            ControlVariable.POSITION: (ranges.p, "rad"),
+            ControlVariable.VELOCITY: (ranges.v, "rad/s"),
+            ControlVariable.TORQUE: (ranges.t, "N·m"),
+        }[motion.variable]
         if motion.function is not None:
             low, high = motion.function.bounds(*motion.interval)
             furthest = motion.offset + max(low, high, key=lambda end: abs(motion.offset + end))
-        if motion.variable is ControlVariable.POSITION and abs(furthest) > limit:
+        if abs(furthest) > limit:
             raise LimitError(
                 motor=self.name,
-                quantity="position",
+                quantity=motion.variable.value,
                 value=furthest,
                 low=-limit,
                 high=limit,
-                unit="rad",
+                unit=unit,
                 reason="the range of the drive's frames",
             )
         self.hardware.follow(*self._planned(motion))

@@ -104,6 +104,7 @@ _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
 _BOOTED_NS: Final = 1_000_000_000
 _LATE_NS: Final = 400_000_000  # an angle so late and a tachometer in time are not of one position
+_ERPM_MAX: Final = 2**31 - 1
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
 _FAULT_STOP_S: Final = 2.0  # a fault clears itself after 0.5 s, unless its cause lasts
 _ARRIVAL_S: Final = 2.0  # after the last set-point
@@ -530,7 +531,8 @@ class VescMotor(StreamedMotor[VescHwMotor]):
         """Refuse speeds that the controller cannot follow.
 
         Raises:
-            UsageError: too fast for streamed positions, or too slow for speed control.
+            UsageError: too fast for streamed positions or for 32 bits, or too slow for speed
+                control.
         """
         own = self.hardware.options
         if motion.variable is ControlVariable.POSITION:
@@ -545,6 +547,11 @@ class VescMotor(StreamedMotor[VescHwMotor]):
                 )
         elif motion.variable is ControlVariable.VELOCITY:
             erpm = round(abs(motion.target * self._units) * self.hardware.scale(Mode.SPEED))
+            if erpm > _ERPM_MAX:
+                raise UsageError(
+                    f"{self.name}: a velocity of {motion.target:.4g} per s is {erpm} ERPM;"
+                    f" expected at most {_ERPM_MAX} ERPM, 32 bits; correct the motor model"
+                )
             if 0 < erpm < own.erpm_min:
                 raise UsageError(
                     f"{self.name}: a velocity of {motion.target:.4g} per s is {erpm} ERPM;"

@@ -256,6 +256,29 @@ def test_connections_may_come_and_go_without_end():
     assert objects() < before + 100
 
 
+def test_ports_of_serial_line_are_used_again_once_silent():
+    world, _ = a_world()
+    heard: Heard = []
+    senders: list[str] = []
+    world.tap_lines(lambda _, now, start, end, sender, data, spoiled: senders.append(sender))
+    request = with_crc(bytes.fromhex("020300010001"))
+    before = 0
+    for number in range(1, 300):
+        host = world.add_line_host("line", "host", listener(heard))
+        assert host.name == "host"
+        host.send(request)
+        host.close()
+        host.send(request)
+        other = world.add_line_host("line", "other", listener([]))
+        assert other.port != host.port
+        other.close()
+        world.queue.run_until(number * 20 * MS)
+        before = before or objects()
+    assert senders == ["host", "unit2"] * 299
+    assert heard == []
+    assert objects() < before + 100
+
+
 def test_foreign_protocol_is_disconnected_with_reason():
     world, _ = a_world(tcp=True)
     events: list[tuple[int, str, str, str]] = []

@@ -1,3 +1,5 @@
+from contextlib import ExitStack
+
 import can
 import pytest
 
@@ -194,14 +196,25 @@ def test_unread_bus_drops_oldest_frames_and_counts_them(rig, monkeypatch):
         assert two.recv(0.0).arbitration_id == 0x202
 
 
+def test_bus_without_a_free_port_refuses_as_python_can_does(rig, monkeypatch):
+    monkeypatch.setattr("motorhil.emulators.can.bus.bus.PORT_MASK", 3)
+    with ExitStack() as stack:
+        for _ in range(3):
+            stack.enter_context(emulated())
+        with pytest.raises(can.CanInitializationError, match="limit is 4"):
+            emulated()
+
+
 def test_frames_that_wait_without_end_are_refused(rig, monkeypatch):
     """A loop that only sends let them grow until no memory was left."""
     monkeypatch.setattr("motorhil.harness.python_can.send_limit._WAITING_MAX", 3_000)
     with emulated() as bus:
         for _ in range(3_071):
             bus.send(message(0x100))
-        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait .* at most 3000"):
+        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait; .* at most 3000"):
             bus.send(message(0x100))
         rig.run_for(2.0)
-        for _ in range(2_000):
-            bus.send(message(0x100))
+        for _ in range(3_071):
+            rig.send(bus, bytes(16))
+        with pytest.raises(can.CanOperationError, match=r"can0: 3072 frames wait"):
+            rig.send(bus, bytes(16))

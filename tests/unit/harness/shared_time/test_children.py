@@ -278,6 +278,21 @@ except Exception as error:
     assert "starts a child in a callback; expected a turn of the program" in lines[0]
 
 
+def test_children_may_come_and_go_without_end(run, monkeypatch):
+    monkeypatch.setattr("motorhil.harness.shared_time.shared_clock._CHILDREN_MAX", 2)
+    code = """
+for _ in range(3):
+    tell(subprocess.check_output([sys.executable, "-c", "print(1)"]))
+children = [python("import time; time.sleep(1)") for _ in range(3)]
+tell([child.wait() for child in children])
+"""
+    lines, wrong = run(code)
+    assert wrong == {}
+    assert lines[:3] == ["b'1\\n' at 0.00"] * 3
+    assert "the rig has 2 children at once; it runs on the wall clock" in lines[3]
+    assert lines[4] == "[0, 0, 0] at 1.00"
+
+
 def test_forked_process_is_refused(run):
     code = in_main(
         'try: multiprocessing.get_context("fork").Process(target=square).start()',

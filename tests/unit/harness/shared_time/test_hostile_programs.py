@@ -111,7 +111,7 @@ def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_
                 pass
 
     left, _ = run_with(tmp_path / "clock", bad)
-    assert "can0: 1024 frames wait for the bus; expected at most 1000" in left["bad"]
+    assert "can0: 1024 frames wait; expected at most 1000" in left["bad"]
 
 
 def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
@@ -128,9 +128,9 @@ def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
             seen.extend((fd, asked[-1]) for fd, _ in ready)
             return ready
 
-    def receive(clock, participant):
+    def receive(clock, participant, is_first):
         asked.append(participant.connection.fileno())
-        return RECEIVE(clock, participant)
+        return RECEIVE(clock, participant, is_first)
 
     def bad(path):
         joined(path, "bad").close()
@@ -141,6 +141,43 @@ def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
     assert left["bad"] == "its connection has ended"
     assert len(seen) > 10
     assert [fd for fd, wanted in seen if fd != wanted] == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        records.PERIOD.pack(records.EVERY, 1, 10**9),
+        records.WAITING.pack(records.WAIT, 2, 0, 0, records.NO_DEADLINE),
+        records.WAITING.pack(records.WAIT, 3, 0, 0, 2**62),
+        records.numbered(records.PARTY, 1024, "many"),
+    ],
+    ids=["period", "wait", "deadline", "party"],
+)
+def test_number_in_use_or_out_of_range_ends_its_program(tmp_path, wrong):
+    def bad(path):
+        with joined(path, "bad") as connection:
+            first_turn(connection)
+            connection.send(records.PERIOD.pack(records.EVERY, 1, 10**9))
+            connection.send(records.WAITING.pack(records.WAIT, 2, 0, 0, records.NO_DEADLINE))
+            connection.send(wrong)
+            assert connection.recv(1) == b""
+
+    left, told = run_with(tmp_path / "clock", bad)
+    assert left["bad"].startswith(f"its record {wrong.hex()} is wrong")
+    assert [name for name, *_ in told] == ["bad"]
+
+
+def test_program_that_ends_while_it_joins_is_named(tmp_path):
+    world, runtime, _ = new_world()
+    clock = shared_clock(world, runtime, tmp_path / "clock", [], {"bad": 1.0})
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+        connection.connect(str(tmp_path / "clock"))
+        connection.send(records.numbered(records.JOIN, records.VERSION, "bad"))
+    looks = iter((True, True))
+    with pytest.raises(JoinError, match="program bad: ended before it joined"):
+        clock.await_programs(["bad"], lambda name: next(looks, False))
+    clock.close()
+    runtime.close()
 
 
 @pytest.mark.parametrize(

@@ -228,3 +228,61 @@ def test_programs_of_recorded_rig_are_not_started(run, tmp_path):
     run(program("one", "python", "talker.py", "t", "1"), record=tmp_path / "run.mcap")
     with Rig.open(tmp_path / "run.mcap") as rig:
         assert rig.description.programs == {}
+
+
+OPENER = """
+import can, time
+for _ in range(300):
+    can.Bus().shutdown()
+time.sleep(0.01)
+print("all opened")
+"""
+STARTER = """
+import threading, time
+for _ in range(1_100):
+    thread = threading.Thread(target=time.sleep, args=(0.001,))
+    thread.start()
+    thread.join()
+print("all ended")
+"""
+
+
+@pytest.mark.parametrize(("source", "last"), [(OPENER, "all opened"), (STARTER, "all ended")])
+def test_buses_and_threads_of_program_come_and_go_without_end(run, tmp_path, source, last):
+    (tmp_path / "many.py").write_text(source)
+    lines, wrong = run(program("one", "python", "many.py"))
+    assert wrong == {}
+    assert lines == [f"one: {last}"]
+
+
+def test_output_after_the_last_turn_is_printed_whole(run, tmp_path):
+    """A pipe takes 64 KiB: a program whose output is not read cannot end."""
+    source = "import motorhil; motorhil.join().close(); print(*range(40_000), sep=chr(10))"
+    (tmp_path / "prints.py").write_text(source)
+    lines, wrong = run(program("one", "python", "prints.py"))
+    assert wrong == {}
+    assert lines == [f"one: {number}" for number in range(40_000)]
+
+
+def test_program_that_keeps_the_turn_with_records_is_killed(run, tmp_path):
+    source = "import motorhil; rig = motorhil.join()\n"
+    source += "while True: rig.runtime.every(1.0, print).cancel()\n"
+    (tmp_path / "cancels.py").write_text(source)
+    lines, wrong = run(
+        program("cancels", "python", "cancels.py", stall_s=0.5),
+        program("two", "python", "talker.py", "t", "3"),
+    )
+    assert wrong == {"cancels": "ended by SIGKILL"}
+    assert any("has kept the turn for 0.5 s" in line for line in lines)
+    assert lines[-1].startswith("two: t 2")
+
+
+def test_endless_output_beside_the_rig_does_not_hold_it_up(run):
+    lines, wrong = run(
+        program("noise", "yes", joins="false"),
+        program("zeros", "cat", "/dev/zero", joins="false"),
+        program("two", "python", "talker.py", "t", "3"),
+    )
+    assert wrong == {}
+    assert any(line.startswith("two: t 2") for line in lines)
+    assert max(map(len, lines)) < 2 << 20

@@ -1,11 +1,20 @@
 """Programs that share a clock make what parties of one process make."""
 
+import threading
 from random import Random
 
 import pytest
 
+from motorhil.emulators.can.frame import pack as pack_frame
 from motorhil.harness.shared_time.shared_clock import SharedClock
-from tests.support.programs.clock_sharers import in_one_process, steps, with_shared_clock
+from tests.support.programs.clock_sharers import (
+    guest,
+    in_one_process,
+    new_world,
+    shared_clock,
+    steps,
+    with_shared_clock,
+)
 
 SEEDS = 40
 MORE = 1_000
@@ -36,6 +45,33 @@ def test_programs_with_shared_clock_make_frames_of_parties(tmp_path):
         }
     assert count > 10 * SEEDS
     assert met >= {"wait", "send", "receive", "every", "spawn", "poll", "frame"}
+
+
+def test_port_closed_while_its_frame_is_delivered_hears_nothing(tmp_path):
+    world, runtime, _ = new_world()
+    clock = shared_clock(world, runtime, tmp_path / "clock", [], {"one": 60.0})
+    heard = []
+
+    def body(own_runtime, own_world):
+        ports = []
+
+        def first(*told):
+            heard.append("first")
+            ports[1].close()
+
+        for hear in (first, lambda *told: heard.append("second")):
+            ports.append(own_world.add_host("can0", "host", hear))
+        own_world.add_host("can0", "host", lambda *told: None).send(pack_frame(1, b""))
+        own_runtime.run_for(0.01)
+
+    thread = threading.Thread(target=guest, args=(tmp_path / "clock", "one", body))
+    thread.start()
+    clock.await_programs(["one"], lambda name: True)
+    runtime.wait_for_parties(clock.are_gone)
+    thread.join()
+    clock.close()
+    runtime.close()
+    assert (heard, clock.left) == (["first"], {"one": ""})
 
 
 @pytest.mark.nightly

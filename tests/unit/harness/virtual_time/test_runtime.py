@@ -1,6 +1,8 @@
+import gc
 import os
 import signal
 import threading
+import weakref
 from contextlib import suppress
 
 import pytest
@@ -186,6 +188,17 @@ def test_error_of_a_party_is_available_after_join(runtime):
     party = runtime.spawn("fails", fails)
     assert party.join(1.0)
     assert isinstance(party.error, KeyError)
+
+
+def test_ended_parties_leave_nothing_in_memory(runtime):
+    thread = runtime.spawn("first", lambda: None).thread
+    runtime.run_for(0.001)
+    thread.join()
+    first = weakref.ref(thread)
+    del thread
+    runtime.spawn("second", lambda: None)
+    gc.collect()
+    assert first() is None
 
 
 def test_error_of_an_unjoined_party_is_raised_by_close():

@@ -88,12 +88,16 @@ def test_unreadable_row_is_reported_with_line(head, row, why):
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "'quoted", "\ttab", "left"])
-def test_sender_is_no_formula_of_a_spreadsheet_and_returns(name):
+@pytest.mark.parametrize("column", ["bus", "sender"])
+def test_name_is_no_formula_of_a_spreadsheet_and_returns(column, name):
+    if column == "bus":
+        name = name.strip()  # it is written as one word
     told = StringIO()
-    frame = Frame(1_000, "can0", classic(0x123, b"\0"), Direction.RECEIVED, name)
+    names = {"bus": "can0", "sender": "left", column: name}
+    frame = Frame(1_000, names["bus"], classic(0x123, b"\0"), Direction.RECEIVED, names["sender"])
     write_csv(told, 9, iter([frame]))
     head, row = told.getvalue().splitlines()
-    cell = next(csv.reader([row]))[head.split(",").index("sender")]
+    cell = next(csv.reader([row]))[head.split(",").index(column)]
     assert cell[0] not in "=+-@\t\r"
     reader, findings = CsvReader(), Findings()
     assert [one for line in (head, row) for one in reader.take(line, findings)] == [frame]

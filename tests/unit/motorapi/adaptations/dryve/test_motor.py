@@ -217,6 +217,17 @@ def test_drive_without_known_scale_is_refused(objects, text):
         rig.motors["left"].enable()
 
 
+def test_velocity_beyond_32_bits_is_refused():
+    text = TEXT.replace("velocity_max_rad_s = 2.0", "velocity_max_rad_s = 1e9")
+    with opened(text) as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        motor.set_setpoint(1e9)
+        with pytest.raises(LimitError, match=r"5.72958e\+12 drive units.*60FFh"):
+            motor.start()
+
+
 @pytest.mark.parametrize(
     ("line", "text"),
     [

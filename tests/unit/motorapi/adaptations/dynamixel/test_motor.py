@@ -1,6 +1,6 @@
 """Motors on emulated Dynamixel servos: groups, modes, stops, and refusals."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -14,13 +14,14 @@ from motorhil.motorapi import (
     ControlVariable,
     LimitError,
     Motor,
+    MotorError,
     MotorGroup,
     MotorState,
     PeerError,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
-from motorhil.motorapi.adaptations.dynamixel import hardware
+from motorhil.motorapi.adaptations.dynamixel import hardware, packets
 from tests.support.kit_benches import RIGS
 
 TEXT = (RIGS / "dynamixel.toml").read_text()
@@ -96,6 +97,38 @@ def test_stop_brakes_with_the_ramp_and_stays(rig):
     rig.runtime.run_for(0.5)
     assert left.position() == pytest.approx(at, abs=0.003)  # it came back by a count at most
     assert left.state() is MotorState.ENABLED
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        (b"\xff" * 36, "FF7F0000FF7F0000"),
+        (b"\1" + bytes(7) + b"\x7f" * 28, "0100000000000000FFFF0F00"),
+    ],
+)
+def test_stop_of_a_servo_that_tells_nonsense_is_in_its_ranges(rig, monkeypatch, told, expected):
+    """The goal of register 116 is at most 1,048,575; profiles are at most 32,767."""
+    motor = rig.motors["left"]
+    motor.enable()
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(3.0)
+    motor.start()
+    rig.runtime.run_for(0.2)
+    status_in = packets._status_in
+    monkeypatch.setattr(
+        packets,
+        "_status_in",
+        lambda packet, unit: (
+            (status := status_in(packet, unit))
+            and status._replace(data=told if len(status.data) == 36 else status.data)
+        ),
+    )
+    found = sent(rig)
+    with suppress(MotorError):
+        motor.stop()
+        rig.runtime.run_for(0.1)
+    (stop,) = [one for one in found if one[14:20] == "036C00" and one[20:].startswith(expected)]
+    assert stop
 
 
 def test_move_after_the_watchdog_starts_where_the_servo_stands(rig):

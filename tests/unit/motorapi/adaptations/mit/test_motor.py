@@ -273,6 +273,24 @@ def test_target_beyond_the_range_of_frames_is_refused():
         assert true(rig) == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("variable", "value", "text"),
+    [
+        (ControlVariable.VELOCITY, -77.0, "velocity -77 rad/s, allowed is -76 to 76 rad/s"),
+        (ControlVariable.TORQUE, 12.5, "torque 12.5 N·m, allowed is -12 to 12 N·m"),
+    ],
+)
+def test_set_point_beyond_the_range_of_frames_is_refused(variable, value, text):
+    model = "velocity_max_rad_s = 100.0\nacceleration_max_rad_s2 = 8.0\ntorque_max_n_m = 20.0\n"
+    with opened(model=model) as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        motor.set_control_mode(ControlMode.SETPOINT, variable)
+        motor.set_setpoint(value)
+        with pytest.raises(LimitError, match=text):
+            motor.start()
+
+
 @pytest.mark.parametrize("drive", FIRMWARE)
 def test_homing_makes_this_place_zero(drive):
     with opened(drive, emulated="initial_position_rad = 1.5") as rig:

@@ -275,6 +275,12 @@ def test_velocity_below_erpm_min_is_refused():
     assert "is 662 ERPM; expected 0, or at least 900 ERPM" in str(error.value)
 
 
+def test_velocity_beyond_32_bits_is_refused():
+    with opened(velocity=1e8) as rig, pytest.raises(UsageError) as error:
+        go_to(rig.motors["left"], 1e8, ControlVariable.VELOCITY)
+    assert "ERPM; expected at most 2147483647 ERPM, 32 bits" in str(error.value)
+
+
 def test_position_too_fast_for_the_shorter_way_is_refused():
     with opened("status_1 = 25", "") as rig, pytest.raises(UsageError) as error:
         go_to(rig.motors["left"], 1.0)
