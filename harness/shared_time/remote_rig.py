@@ -22,7 +22,7 @@ from motorhil.harness.rig.rig import Named, RigPlugins, describe, read_models
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
 from motorhil.harness.shared_time.remote_world import RemoteWorld
-from motorhil.harness.shared_time.shared_clock import RIG_VARIABLE, SITE, VARIABLE
+from motorhil.harness.shared_time.shared_clock import JOIN_S, RIG_VARIABLE, SITE, VARIABLE
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 
@@ -94,7 +94,9 @@ class RemoteRig:
         self.description: Final[RigDescription] = describe(path)
         link = RemoteLink(connection)
         link.send(records.numbered(records.JOIN, records.VERSION, name))
+        connection.settimeout(2.0 * JOIN_S)
         record = link.receive()
+        connection.settimeout(None)
         if record[0] != records.WELCOME:
             raise UsageError(f"program {name!r}: refused by the rig: {record[1:].decode()}")
         _, _, now_ns, seed = records.WELCOMED.unpack_from(record)

@@ -232,15 +232,14 @@ class SharedClock:
         return reason
 
     def _admitted(self, parent: Participant, pid: int, name: str) -> str:
-        if len(self._children) == _CHILDREN_MAX:
-            return f"the rig has {_CHILDREN_MAX} children at once; it runs on the wall clock"
+        is_full = len(self._children) == _CHILDREN_MAX
         try:
             child = _Child(parent.name.partition("/")[0], os.pidfd_open(pid))
         except ProcessLookupError:
             return "ended before it joined the rig's time"
         until_s = time.monotonic() + JOIN_S
         while time.monotonic() < until_s:
-            found = self._accept([name])
+            found = self._accept([] if is_full else [name])
             if found is not None:
                 self._children[name] = child
                 self._programs = [one for one in self._programs if not one.is_gone] + [found]
@@ -248,7 +247,8 @@ class SharedClock:
                 return ""
             if child.has_ended():
                 os.close(child.fd)
-                return "ended before it joined the rig's time"
+                full = f"was refused: the rig has {_CHILDREN_MAX} children at once; wait for one"
+                return full if is_full else "ended before it joined the rig's time"
         os.close(child.fd)
         return f"did not join the rig's time within {JOIN_S:g} s; it runs on the wall clock"
 
@@ -349,5 +349,6 @@ def _refusal(record: bytes, missing: Sequence[str]) -> tuple[str, str]:
     if version != records.VERSION:
         return f"protocol {version}: unknown; expected {records.VERSION}", name
     if name not in missing:
-        return f"program {name!r}: not awaited; expected one of {', '.join(missing)}", name
+        names = ", ".join(missing) or "none, as it has as many as it takes"
+        return f"program {name!r}: not awaited; expected one of {names}", name
     return "", name

@@ -1,6 +1,7 @@
 """An unmodified Python program in the time of a rig that runs in another process."""
 
 import atexit
+import os
 import sys
 import threading
 from contextlib import ExitStack
@@ -22,8 +23,8 @@ def enter() -> None:
     try:
         rig = join()
     except UsageError as error:
-        print(f"motorhil: {error}", file=sys.stderr)
-        raise SystemExit(_REFUSED) from None
+        print(f"motorhil: {error}", file=sys.stderr, flush=True)
+        os._exit(_REFUSED)  # Python's start would tell of an exception by a fatal error
     stack = ExitStack()
     stack.callback(rig.close)
     stack.enter_context(bus_settings(rig.description.buses))

@@ -289,8 +289,9 @@ tell([child.wait() for child in children])
     lines, wrong = run(code)
     assert wrong == {}
     assert lines[:3] == ["b'1\\n' at 0.00"] * 3
-    assert "the rig has 2 children at once; it runs on the wall clock" in lines[3]
-    assert lines[4] == "[0, 0, 0] at 1.00"
+    assert "not awaited; expected one of none, as it has as many as it takes" in lines[3]
+    assert "was refused: the rig has 2 children at once; wait for one" in lines[4]
+    assert lines[5] == "[0, 0, 3] at 1.00"
 
 
 def test_forked_process_is_refused(run):
