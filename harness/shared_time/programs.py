@@ -26,6 +26,7 @@ from motorhil.harness.shared_time.shared_clock import (
     JoinError,
     SharedClock,
 )
+from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import VARIABLE as LOCK_VARIABLE
 
 if TYPE_CHECKING:
@@ -162,6 +163,8 @@ def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
         except KeyboardInterrupt:
             rig.runtime.wait_for_parties(clock.are_gone)  # each has had it in its wait
             raise
+        except UsageError:  # all wait for one another: each program tells it, and ends
+            rig.runtime.wait_for_parties(clock.are_gone)
         for one in processes.values():
             if not one.description.joins:
                 one.end()

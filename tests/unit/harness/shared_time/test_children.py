@@ -349,3 +349,20 @@ asyncio.run(main())
         "asyncio.subprocess_exec ",
         "asyncio.subprocess_shell",
     ]
+
+
+def test_parent_and_child_that_wait_for_each_other_are_told(run):
+    code = """
+try:
+    child = python("import sys; print(sys.stdin.read())", stdin=subprocess.PIPE)
+    child.wait()
+except Exception as error:
+    print(error)
+"""
+    lines, wrong = run(code)
+    assert wrong == {}
+    waits = (
+        "waits without a timeout, but nothing can end the wait: no event is due in the whole rig"
+    )
+    assert any(line.startswith(f"party 'parent' {waits}") for line in lines)
+    assert any(f"party 'parent/1' {waits}" in line for line in lines)
