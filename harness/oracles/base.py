@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import ClassVar, Final, TypeVar, final
 
+from motorhil.harness.oracles.drives.kinds import Told
 from motorhil.harness.oracles.facts import Facts, Subject
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import BusError
@@ -206,6 +207,7 @@ class RecordingContext:
         buses: by bus, True if it had a message that only CANopen has.
         seen_nodes: nodes that sent something, by bus and node-ID.
         unmapped: RPDOs heard without a known mapping, by bus and node.
+        drives: the controllers' tables of the rig, by bus and node.
     """
 
     def __init__(
@@ -214,8 +216,10 @@ class RecordingContext:
         names: RecordedNames,
         from_ns: int | None = None,
         to_ns: int | None = None,
+        drives: Mapping[tuple[str, int], Mapping[str, object]] | None = None,
     ) -> None:
         self.facts = facts
+        self.drives: Mapping[tuple[str, int], Mapping[str, object]] = drives or {}
         self.names = names
         self.axes: dict[Place, Axis] = {}
         self.gaps: dict[str, None] = {}  # an ordered set
@@ -350,6 +354,9 @@ class Oracle:
 
     def sdo(self, time_ns: int, bus: str, event: DecodedEvent, data: bytes) -> None:
         """Handle a frame of an SDO transfer."""
+
+    def drive(self, time_ns: int, node: tuple[str, int], told: Told, sender: str) -> None:
+        """Handle a message to or from a drive (bus, node) with a protocol of its own."""
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
         """Handle a change of an identifier's sender."""

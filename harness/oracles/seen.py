@@ -20,6 +20,7 @@ from motorhil.harness.oracles.base import (
     Place,
     RecordingContext,
 )
+from motorhil.harness.oracles.drives.kinds import Told
 from motorhil.traces.decoding.canopen import emergency_text
 
 _LIMIT_ACTIVE: Final = 0x0800  # bit 11
@@ -79,6 +80,7 @@ class Incidents(Oracle):
         self._found: dict[tuple[str, str], Incident] = {}
         self._states: dict[Place, int | None] = {}
         self._limited: set[tuple[Place, int]] = set()
+        self._told: dict[tuple[str, int], str] = {}
 
     def incidents(self) -> list[Incident]:
         """Return all incidents in the order of their first time."""
@@ -109,6 +111,17 @@ class Incidents(Oracle):
             name = axis.name if axis else self.context.names.nodes.get((bus, node), "")
             place = f"{bus} node {node}" + (f" ({name})" if name else "")
             self._note(time_ns, place, f"EMCY {code:04X}h {emergency_text(code)}")
+
+    def drive(self, time_ns: int, node: tuple[str, int], told: Told, sender: str) -> None:
+        """Note a fault that a drive with a protocol of its own tells."""
+        if told.is_own:
+            self.context.saw(*node)
+        if told.fault is not None and told.fault != self._told.get(node, ""):
+            self._told[node] = told.fault
+            if told.fault:
+                name = self.context.names.nodes.get(node, "")
+                place = f"{node[0]} node {node[1]}" + (f" ({name})" if name else "")
+                self._note(time_ns, place, f"fault: {told.fault}")
 
     def event(self, time_ns: int, name: str, text: str) -> None:
         """Note an event of the level error."""
