@@ -13,7 +13,7 @@ from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.judge import Pass, judge
 from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi import ControlMode, DeviceFault, MotorError
+from motorhil.motorapi import ControlMode, DeviceFault
 from motorhil.traces.decoding.attached_rig import facts_of, names_of, place_of
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.protobuf import decode
@@ -203,28 +203,59 @@ def test_motion_during_a_fault_is_found(name):
     assert first.text.split(", since")[0].endswith(seen.incidents[0].text.removeprefix("fault: "))
 
 
+def begin(rig):
+    """Start a motion of both motors."""
+    for motor in rig.motors.values():
+        motor.set_control_mode(ControlMode.SETPOINT)
+        motor.set_setpoint(1.0)
+        motor.start()
+    rig.runtime.run_for(0.2)
+
+
 @pytest.mark.parametrize("name", KINDS)
-def test_host_that_heeds_a_fault_is_not_accused(name, tmp_path):
+def test_host_that_heeds_and_resets_a_fault_is_not_accused(name, tmp_path):
     path, description = tmp_path / "fault.mcap", described(name)
     with Rig(description, record=path) as rig:
-        left, right = rig.motors["left"], rig.motors["right"]
-        for motor in (left, right):
-            motor.set_control_mode(ControlMode.SETPOINT)
-            motor.set_setpoint(1.0)
-            motor.start()
-        rig.runtime.run_for(0.2)
-        facts = description.conformance
+        left, facts = rig.motors["left"], description.conformance
+        begin(rig)
         rig.controllers["left"].stimulate(facts.fault_stimulus, facts.fault_code)
         with pytest.raises(DeviceFault):
             left.wait_until_done(timeout_s=3)
-        rig.runtime.run_for(0.5)
-        rig.controllers["left"].stimulate("power", 0.0)
-        with pytest.raises(MotorError):
-            left.start()
         rig.runtime.run_for(1.0)
+        left.reset_fault()
+        left.set_setpoint(0.5)
+        left.start()
+        left.wait_until_done(timeout_s=3)
     seen = Seen()
-    findings = {one.oracle: one for one in judge(path, only=IDS, seen=seen)}
-    assert findings["fault-heeded"].verdict is Verdict.HELD
-    assert findings["one-drive"].verdict is Verdict.HELD
-    assert findings["drive-answered"].verdict is Verdict.BROKEN  # it has no power
+    findings = judge(path, only=IDS, seen=seen)
+    assert [one.verdict for one in findings] == [Verdict.HELD] * 3
     assert any(one.text.startswith("fault: ") for one in seen.incidents)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_drive_that_loses_its_power_is_found(name, tmp_path):
+    path = tmp_path / "power.mcap"
+    with Rig(described(name), record=path) as rig:
+        begin(rig)
+        rig.controllers["left"].stimulate("power", 0.0)
+        off_ns = rig.runtime.now_ns()
+        rig.runtime.run_for(1.0)
+    findings = {one.oracle: one for one in judge(path, only=IDS)}
+    assert broken_in(findings) == ["drive-answered"]
+    first = findings["drive-answered"].first
+    assert (first.motor, first.node) == ("left", 1)
+    assert 0 <= first.time_ns - off_ns < 100 * MS
+
+
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_motion_directly_behind_a_reset_is_not_accused(is_reset):
+    heard, files = story("mit")
+    is_answer, fail = KINDS["mit"]
+    answer = next(one for one in heard if is_answer(one))
+    motion = next(one for one in heard if one.identifier == 1 and one.data[11:14] != bytes(3))
+    reset = motion.instead(8, *b"\xff" * 7, 0xFB)
+    told = [(0, answer), (1, fail(answer)), (300, reset), (301, motion)]
+    frames = [one._replace(time_ns=ms * MS) for ms, one in told if one is not reset or is_reset]
+    findings, _ = findings_of(frames, files)
+    assert findings["fault-heeded"].looked == (0 if is_reset else 1)
+    assert broken_in(findings) == ([] if is_reset else ["fault-heeded"])
