@@ -5,10 +5,12 @@ import shutil
 import pytest
 
 from motorhil.harness.cli.main import main
-from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.host import DrivenRig, bench_of, compared, drive
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import never_came, summary, unanswered
-from motorhil.harness.rig.rig import Rig
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.traces.digest import digest
 from motorhil.traces.schema import decode_can_frame
 from motorhil.traces.semantics.diff import Tolerance
@@ -16,7 +18,9 @@ from tests.support.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.support.recordings.altered import traffic
 
 FRAMES_ONLY = ("dynamixel", "mit", "moteus", "rmd", "robstride", "vesc")
-"""Recordings without CANopen or Modbus, which device and host are replayed by."""
+"""Recordings without CANopen or Modbus, for which no recording stands in as the devices."""
+DESCRIBED = tuple(name for name in FRAMES_ONLY if name != "dynamixel")
+"""Those of CAN buses, whose host is replayed."""
 
 
 @pytest.fixture(params=GOLDEN)
@@ -86,6 +90,42 @@ def test_as_host_objects_agree_with_the_recording(known, tmp_path):
         assert differing == []
         assert objects
         assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+
+
+def replayed(name, path, live, more=""):
+    """Replay the host on the recording's rig with more text; return objects and differences."""
+    text = GOLDEN[name][1] + more
+    rig_file = Source(path.parent / "rig.toml", text)
+    with Rig(parse_rig(rig_file, installed_plugins()), record=live) as rig:
+        bench = bench_of(rig.description)
+        done = drive(DrivenRig(rig), path, bench=bench)
+    assert done.notes == []
+    return compared(path, live, done.player.pairs, Tolerance(), done.reading)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_as_host_messages_of_other_kinds_agree_with_the_recording(name, tmp_path):
+    with golden(name) as path:
+        objects, differing = replayed(name, path, tmp_path / "live.mcap")
+    assert differing == []
+    assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+    labels = [one.label for one in objects if one.is_compared and one.worst is not None]
+    assert sum("left" in label for label in labels) >= 1  # its position
+    assert sum("right" in label for label in labels) >= 1
+    assert sum(one.of for one in objects) > 400
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_as_host_load_on_a_drive_of_another_kind_is_a_difference(name, tmp_path):
+    """The left motor is turned away by a load of which the recording has nothing."""
+    load = '[[stimulus]]\ncontroller = "left"\nname = "load_torque_n_m"\nvalue = 40.0\nat_s = 0.8\n'
+    with golden(name) as path:
+        _, differing = replayed(name, path, tmp_path / "live.mcap", load)
+    assert any(
+        "[rad]" in one.label or "[deg]" in one.label or "[rev]" in one.label for one in differing
+    )
+    assert all("node 1 (left)" in one.label for one in differing)
+    assert all(one.time_ns > 790_000_000 for one in differing)
 
 
 def test_as_traffic_frames_keep_order_and_times(name, tmp_path, capsys):
