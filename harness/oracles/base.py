@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import ClassVar, Final, TypeVar, final
 
-from motorhil.harness.oracles.drives.kinds import Told
 from motorhil.harness.oracles.facts import Facts, Subject
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import BusError
 from motorhil.traces.decoding.cia402 import state_number
 from motorhil.traces.decoding.events import DecodedEvent
 from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.exchange.drive_kinds import Told
 from motorhil.traces.schema import LockAction
 
 MS: Final = 1_000_000

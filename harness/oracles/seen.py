@@ -20,8 +20,8 @@ from motorhil.harness.oracles.base import (
     Place,
     RecordingContext,
 )
-from motorhil.harness.oracles.drives.kinds import Told
 from motorhil.traces.decoding.canopen import emergency_text
+from motorhil.traces.exchange.drive_kinds import Told
 
 _LIMIT_ACTIVE: Final = 0x0800  # bit 11
 _MAX_TORQUE: Final = 0x6072

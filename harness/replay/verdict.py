@@ -8,8 +8,8 @@ from os import PathLike
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.harness.recording.conversion import open_recording
-from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
 from motorhil.harness.replay.player import ExchangePlayer, Mismatch
+from motorhil.harness.replay.recorded_controller import RecordedController
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.narrative import Describe, Line
 from motorhil.traces.exchange.steps import Step
@@ -36,9 +36,7 @@ def players(rig: "Rig") -> dict[str, ExchangePlayer]:
     """Return the players of the rig's recorded controllers, by name."""
     cores = {name: rig.controllers[name].core for name in rig.description.controllers}
     return {
-        name: core.player
-        for name, core in cores.items()
-        if isinstance(core, RecordedNode | RecordedUnit)
+        name: core.player for name, core in cores.items() if isinstance(core, RecordedController)
     }
 
 

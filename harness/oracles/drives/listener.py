@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final, final
 
 from motorhil.harness.oracles.base import Oracle, RecordingContext, hooks
-from motorhil.harness.oracles.drives.kinds import Decode, Read, readers_of
+from motorhil.traces.exchange.drive_kinds import Decode, Read, readers_of
 
 _ERR: Final = 0x20  # in the highest byte of an identifier
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from motorhil.harness.oracles.base import MS, SETTLE_NS, Oracle, RecordingContext
-from motorhil.harness.oracles.drives.kinds import Told
+from motorhil.traces.exchange.drive_kinds import Told
 
 _Node = tuple[str, int]
 _NO_DRIVE: Final = "no drive of kind mit, robstride, rmd, moteus, vesc or dynamixel is known"

@@ -31,6 +31,7 @@ class Told:
         answers: what it answers; "": it is no answer.
         is_own: True if the drive sent it.
         is_unasked: True if the drive sends such answers also by itself.
+        reads: True if it only reads, or keeps alive.
         moves: True if it commands a motion.
         clears: True if it resets a fault, or restarts the drive.
         fault: the fault that it tells; "": none; None: it tells nothing of faults.
@@ -42,6 +43,7 @@ class Told:
     answers: str = ""
     is_own: bool = False
     is_unasked: bool = False
+    reads: bool = False
     moves: bool = False
     clears: bool = False
     fault: str | None = None
@@ -50,6 +52,9 @@ class Told:
 
 Read = Callable[[bytes, BusMessage], Told]
 Decode = Callable[[bytes], BusMessage | None]
+
+
+CAN_KINDS: Final = ("mit", "robstride", "rmd", "moteus", "vesc")
 
 
 def readers_of(kind: str, node: int, table: Mapping[str, object]) -> tuple[Decode, Read] | None:
@@ -113,7 +118,7 @@ def _robstride(frame: bytes, message: BusMessage) -> Told:
     if is_value and any(frame[12:16]):  # a reading has no value
         return Told(answers="parameter", is_own=True)
     if is_value:
-        return Told(may_ask="parameter")
+        return Told(may_ask="parameter", reads=True)
     clears = name in ("Enable", "Stop")
     if name in ("Motion", "Enable", "Stop"):
         return Told(asks="feedback", clears=clears, moves=name == "Motion" and _is_torque(values))
@@ -126,6 +131,12 @@ def _robstride(frame: bytes, message: BusMessage) -> Told:
 _RMD_MOVES: Final = (
     *("torque current", "speed", "absolute position", "incremental position"),
     "single-turn position",
+)
+_RMD_READS: Final = (
+    *("read gain", "read acceleration", "encoder position", "raw encoder position"),
+    *("encoder offset", "operating mode", "power", "single-turn encoder", "multi-turn angle"),
+    *("single-turn angle", "status 1", "status 2", "status 3", "run time", "software date"),
+    "model",
 )
 _RMD_SILENT: Final = ("reset", "CAN ID", "active reply", "zero here", "write encoder offset")
 _RMD_UNASKED: Final = ("status 1", "communication interrupted")
@@ -143,7 +154,7 @@ def _rmd(frame: bytes, message: BusMessage) -> Told:
     if name in _RMD_SILENT:
         restarts = name == "reset"
         return Told(may_ask=name, clears=restarts, quiet_s=_RESTART_S if restarts else 0.0)
-    return Told(asks=name, moves=name in _RMD_MOVES)
+    return Told(asks=name, reads=name in _RMD_READS, moves=name in _RMD_MOVES)
 
 
 # ---- moteus
@@ -156,7 +167,8 @@ def _moteus(frame: bytes, message: BusMessage) -> Told:
         return Told(answers="reply", is_own=True, fault=fault)
     asks = "reply" if message.name == "Query" else ""
     moves = mode is not None and mode not in ("stopped", "fault", "brake")
-    return Told(asks=asks, moves=moves, clears=mode == "stopped")
+    reads = all(one.name == "read" for one in message.signals)
+    return Told(asks=asks, reads=reads, moves=moves, clears=mode == "stopped")
 
 
 # ---- VESC
@@ -175,7 +187,7 @@ def _vesc(frame: bytes, message: BusMessage) -> Told:
     if name == "PONG":
         return Told(answers="ping", is_own=True)
     if name == "PING":
-        return Told(asks="ping")
+        return Told(asks="ping", reads=True)
     if name.startswith(("STATUS", "NOTIFY")):
         return Told(is_own=True)
     if name in _VESC_ENDS:
@@ -185,6 +197,7 @@ def _vesc(frame: bytes, message: BusMessage) -> Told:
         return Told(
             asks="packet" if is_answered else "",
             may_ask="" if is_answered or values.get("mode") == 2 else "packet",
+            reads=is_answered or packet == "ALIVE",
             moves=packet in _VESC_MOVES,
             clears=restarts,
             quiet_s=_RESTART_S if restarts else 0.0,
@@ -210,7 +223,7 @@ def _dynamixel(frame: bytes, message: BusMessage) -> Told:
             fault = f"hardware error {bits:02X}h" if bits and not values["Torque_Enable"] else ""
         return Told(answers="status", is_own=True, fault=fault)
     if name in _SERVO_READS:
-        return Told(asks="status")
+        return Told(asks="status", reads=True)
     is_to_all = frame[4:5] == bytes((_ALL_SERVOS,))
     restarts = name in _SERVO_RESTARTS
     return Told(
