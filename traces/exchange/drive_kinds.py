@@ -14,6 +14,7 @@ from motorhil.traces.decoding import dynamixel, mit, moteus, rmd, vesc
 from motorhil.traces.decoding.narrative import BusMessage
 
 _EFF: Final = 0x8000_0000
+_NODE_MAX: Final = 255
 _ALL_SERVOS: Final = 0xFE
 _RESTART_S: Final = 5.0
 _ZERO_S: Final = 2.0  # CubeMars drives are deaf for 1.5 s after the zero was set
@@ -58,7 +59,12 @@ CAN_KINDS: Final = ("mit", "robstride", "rmd", "moteus", "vesc")
 
 
 def readers_of(kind: str, node: int, table: Mapping[str, object]) -> tuple[Decode, Read] | None:
-    """Return decoder and meaning for one drive; None: its kind is not known here."""
+    """Return decoder and meaning for one drive; None: its kind or number is not known here.
+
+    The table may be from anybody's recording.
+    """
+    if not 0 <= node <= _NODE_MAX:
+        return None
     if kind == "mit":
         return mit.build(node, table), _mit
     if kind == "robstride":

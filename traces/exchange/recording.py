@@ -116,9 +116,10 @@ def _exchanges_of_drives(
     found: dict[str, list[DriveExchanges]] = {}
     for place, table in tables.items():
         readers = readers_of(str(table["kind"]), place[1], table)
-        assert readers is not None  # of CAN_KINDS
-        log = DriveExchanges(place, names.nodes.get(place, ""), readers, begin_ns, any_set_point)
-        found.setdefault(place[0], []).append(log)
+        if readers is not None:
+            name = names.nodes.get(place, "")
+            log = DriveExchanges(place, name, readers, begin_ns, any_set_point)
+            found.setdefault(place[0], []).append(log)
     return found
 
 

@@ -3,6 +3,7 @@
 That the golden recordings themselves are sound is in test_recordings.py.
 """
 
+import random
 from typing import NamedTuple
 
 import pytest
@@ -15,6 +16,7 @@ from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, DeviceFault
 from motorhil.traces.decoding.attached_rig import facts_of, names_of, place_of
+from motorhil.traces.exchange.drive_kinds import readers_of
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import SERIAL_DATA, FrameDecoder
@@ -259,3 +261,28 @@ def test_motion_directly_behind_a_reset_is_not_accused(is_reset):
     findings, _ = findings_of(frames, files)
     assert findings["fault-heeded"].looked == (0 if is_reset else 1)
     assert broken_in(findings) == ([] if is_reset else ["fault-heeded"])
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_altered_frames_are_judged_without_an_error(name):
+    """Any byte may be wrong, the length of a frame included."""
+    heard, files = story(name)
+    draw = random.Random(name)
+    first = 0 if name == "dynamixel" else 4  # an identifier stays one of a frame
+    altered = [
+        one.instead(draw.randrange(first, len(one.data)), draw.randrange(256)) for one in heard
+    ]
+    findings, _ = findings_of(altered, files)
+    assert findings["one-drive"].looked or findings["drive-answered"].looked
+
+
+@pytest.mark.parametrize("node", [-1, 256, 1 << 40])
+@pytest.mark.parametrize("kind", [*KINDS, "strange"])
+def test_drive_with_an_impossible_number_or_kind_is_not_judged(kind, node):
+    assert readers_of(kind, node, {}) is None
+    heard, _ = story("rmd")
+    context = RecordingContext(Facts(), names_of(()), drives={("can0", node): {"kind": kind}})
+    pass_ = Pass(context, IDS)
+    for one in heard[:50]:
+        pass_.take_frame(one.time_ns, one.bus, one.data, "")
+    assert [one.looked for one in pass_.findings(None, None, None)] == [0, 0, 0]
