@@ -81,6 +81,8 @@ class Incidents(Oracle):
         self._states: dict[Place, int | None] = {}
         self._limited: set[tuple[Place, int]] = set()
         self._told: dict[tuple[str, int], str] = {}
+        self._starved: set[tuple[str, int]] = set()
+        self._moved: set[tuple[str, int]] = set()  # drives that were told to move
 
     def incidents(self) -> list[Incident]:
         """Return all incidents in the order of their first time."""
@@ -113,15 +115,23 @@ class Incidents(Oracle):
             self._note(time_ns, place, f"EMCY {code:04X}h {emergency_text(code)}")
 
     def drive(self, time_ns: int, node: tuple[str, int], told: Told, sender: str) -> None:
-        """Note a fault that a drive with a protocol of its own tells."""
+        """Note what a drive with a protocol of its own tells: a fault, or no commands in time."""
         if told.is_own:
             self.context.saw(*node)
+        name = self.context.names.nodes.get(node, "")
+        place = f"{node[0]} node {node[1]}" + (f" ({name})" if name else "")
         if told.fault is not None and told.fault != self._told.get(node, ""):
             self._told[node] = told.fault
             if told.fault:
-                name = self.context.names.nodes.get(node, "")
-                place = f"{node[0]} node {node[1]}" + (f" ({name})" if name else "")
                 self._note(time_ns, place, f"fault: {told.fault}")
+        if told.moves:
+            self._moved.add(node)
+        elif told.rests:
+            self._moved.discard(node)
+        if told.is_starved is not None and told.is_starved != (node in self._starved):
+            (self._starved.add if told.is_starved else self._starved.discard)(node)
+            if told.is_starved and node in self._moved:
+                self._note(time_ns, place, "watchdog: no commands in time")
 
     def event(self, time_ns: int, name: str, text: str) -> None:
         """Note an event of the level error."""

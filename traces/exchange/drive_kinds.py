@@ -34,8 +34,10 @@ class Told:
         is_unasked: True if the drive sends such answers also by itself.
         reads: True if it only reads, or keeps alive.
         moves: True if it commands a motion.
+        rests: True if it switches the motor off.
         clears: True if it resets a fault, or restarts the drive.
         fault: the fault that it tells; "": none; None: it tells nothing of faults.
+        is_starved: True if the drive tells that it had no commands in time; None: nothing of that.
         quiet_s: time for which the drive need not answer [s].
     """
 
@@ -46,8 +48,10 @@ class Told:
     is_unasked: bool = False
     reads: bool = False
     moves: bool = False
+    rests: bool = False
     clears: bool = False
     fault: str | None = None
+    is_starved: bool | None = None
     quiet_s: float = 0.0
 
 
@@ -155,12 +159,18 @@ def _rmd(frame: bytes, message: BusMessage) -> Told:
         if name == "status 1":
             errors = _values(message).get("errors", 0)
             fault = str(errors) if errors else ""
-        unasked = name in _RMD_UNASKED
-        return Told(answers=name, is_own=True, is_unasked=unasked, fault=fault)
+        return Told(
+            answers=name,
+            is_own=True,
+            is_unasked=name in _RMD_UNASKED,
+            fault=fault,
+            is_starved=name == "communication interrupted",
+        )
     if name in _RMD_SILENT:
         restarts = name == "reset"
         return Told(may_ask=name, clears=restarts, quiet_s=_RESTART_S if restarts else 0.0)
-    return Told(asks=name, reads=name in _RMD_READS, moves=name in _RMD_MOVES)
+    rests = name == "shutdown"
+    return Told(asks=name, reads=name in _RMD_READS, moves=name in _RMD_MOVES, rests=rests)
 
 
 # ---- moteus
@@ -170,11 +180,13 @@ def _moteus(frame: bytes, message: BusMessage) -> Told:
     mode = _values(message).get("mode")
     if message.name == "Reply":
         fault = None if mode is None else "mode fault" if mode == "fault" else ""
-        return Told(answers="reply", is_own=True, fault=fault)
+        starved = None if mode is None else mode == "position timeout"
+        return Told(answers="reply", is_own=True, fault=fault, is_starved=starved)
     asks = "reply" if message.name == "Query" else ""
     moves = mode is not None and mode not in ("stopped", "fault", "brake")
     reads = all(one.name == "read" for one in message.signals)
-    return Told(asks=asks, reads=reads, moves=moves, clears=mode == "stopped")
+    rests = mode == "stopped"
+    return Told(asks=asks, reads=reads, moves=moves, rests=rests, clears=rests)
 
 
 # ---- VESC
@@ -214,6 +226,7 @@ def _vesc(frame: bytes, message: BusMessage) -> Told:
 
 # ---- Dynamixel
 
+_EXPIRED: Final = 255  # in the register of the bus watchdog
 _GOALS: Final = ("Goal_PWM", "Goal_Current", "Goal_Velocity", "Goal_Position")
 _SERVO_RESTARTS: Final = ("Reboot", "Factory_Reset", "Control_Table_Backup")
 _SERVO_READS: Final = ("Read", "Ping", "Sync_Read", "Bulk_Read", "Fast_Sync_Read", "Fast_Bulk_Read")
@@ -227,7 +240,9 @@ def _dynamixel(frame: bytes, message: BusMessage) -> Told:
         if "Torque_Enable" in values and "Hardware_Error_Status" in values:
             bits = int(values["Hardware_Error_Status"])
             fault = f"hardware error {bits:02X}h" if bits and not values["Torque_Enable"] else ""
-        return Told(answers="status", is_own=True, fault=fault)
+        watchdog = values.get("Bus_Watchdog")
+        starved = None if watchdog is None else watchdog == _EXPIRED
+        return Told(answers="status", is_own=True, fault=fault, is_starved=starved)
     if name in _SERVO_READS:
         return Told(asks="status", reads=True)
     is_to_all = frame[4:5] == bytes((_ALL_SERVOS,))
@@ -235,6 +250,7 @@ def _dynamixel(frame: bytes, message: BusMessage) -> Told:
     return Told(
         may_ask="" if is_to_all else "status",
         moves=name in _SERVO_WRITES and any(goal in values for goal in _GOALS),
+        rests=name in _SERVO_WRITES and values.get("Torque_Enable") == 0,
         clears=restarts,
         quiet_s=_RESTART_S if restarts else 0.0,
     )

@@ -4,6 +4,7 @@ That the golden recordings themselves are sound is in test_recordings.py.
 """
 
 import random
+from contextlib import suppress
 from typing import NamedTuple
 
 import pytest
@@ -13,14 +14,16 @@ from motorhil.harness.oracles.drives.rules import DRIVE_ORACLES
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.judge import Pass, judge
 from motorhil.harness.oracles.seen import Incidents, Seen
-from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi import ControlMode, DeviceFault
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.motorapi import ControlMode, DeviceFault, MotorError
 from motorhil.traces.decoding.attached_rig import facts_of, names_of, place_of
 from motorhil.traces.exchange.drive_kinds import readers_of
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import SERIAL_DATA, FrameDecoder
-from tests.support.golden import described, golden
+from tests.support.golden import GOLDEN, described, golden
 
 MS = 1_000_000
 IDS = tuple(one.id for one in DRIVE_ORACLES)
@@ -286,3 +289,38 @@ def test_drive_with_an_impossible_number_or_kind_is_not_judged(kind, node):
     for one in heard[:50]:
         pass_.take_frame(one.time_ns, one.bus, one.data, "")
     assert [one.looked for one in pass_.findings(None, None, None)] == [0, 0, 0]
+
+
+STARVED = "watchdog: no commands in time"
+
+
+@pytest.mark.parametrize(("name", "from_s"), [("rmd", 2.0), ("moteus", 0.6)])
+def test_drive_without_commands_in_time_is_seen(name, from_s, tmp_path):
+    """In motion, the host's frames are lost for longer than the drive's own watchdog."""
+    lost = '[[fault]]\nbus = "can0"\nkind = "drop"\nsender = "host"\n'
+    lost += f"from_s = {from_s}\nuntil_s = {from_s + 0.5}\n"
+    path, source = tmp_path / "starved.mcap", Source(tmp_path / "rig.toml", GOLDEN[name][1] + lost)
+    with Rig(parse_rig(source, installed_plugins()), record=path) as rig:
+        rig.runtime.run_for(0.3)
+        begin(rig)
+        with suppress(MotorError):
+            rig.motors["left"].wait_until_done(timeout_s=1.0)
+        rig.runtime.run_for(0.5)
+    seen = Seen()
+    findings = judge(path, only=IDS, seen=seen)
+    assert STARVED in [one.text for one in seen.incidents]
+    assert "fault-heeded" not in broken_in({one.oracle: one for one in findings})
+
+
+def test_expired_bus_watchdog_of_a_servo_is_seen():
+    heard, files = story("dynamixel")
+    assert findings_of(heard, files)[1].incidents == []
+    is_status, _ = KINDS["dynamixel"]
+    at = chosen(heard, is_status)
+    for _ in range(2):  # it is told again, until it is reset
+        told = bytearray(heard[at].data)
+        told[9 + 98 - 64] = 0xFF
+        heard[at] = heard[at]._replace(data=bytes(told[:-2]) + crc(told[:-2]))
+        at = next(n for n in range(at + 1, len(heard)) if is_status(heard[n]))
+    (incident,) = findings_of(heard, files)[1].incidents
+    assert (incident.text, incident.times) == (STARVED, 1)
