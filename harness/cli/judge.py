@@ -89,7 +89,9 @@ def run(options: argparse.Namespace) -> int:
     if options.limits is not None:
         facts = facts.with_more(read_limits(options.limits))
     if options.rig is not None:
-        facts = facts.with_more(read_rig(options.rig))
+        rig = read_rig(options.rig)
+        facts = facts.with_more(rig.motors)
+        facts = replace(facts, attachments=(*facts.attachments, *rig.attachments))
     tell = teller("judge")
     source = open_source(options.file, options.max_memory)
     attachments = _note_truncation(source)

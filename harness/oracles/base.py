@@ -17,6 +17,7 @@ from motorhil.traces.decoding.can_errors import BusError
 from motorhil.traces.decoding.cia402 import state_number
 from motorhil.traces.decoding.events import DecodedEvent
 from motorhil.traces.decoding.narrative import BusMessage
+from motorhil.traces.exchange.drive_kinds import Told
 from motorhil.traces.schema import LockAction
 
 MS: Final = 1_000_000
@@ -206,6 +207,7 @@ class RecordingContext:
         buses: by bus, True if it had a message that only CANopen has.
         seen_nodes: nodes that sent something, by bus and node-ID.
         unmapped: RPDOs heard without a known mapping, by bus and node.
+        drives: the controllers' tables of the rig, by bus and node.
     """
 
     def __init__(
@@ -214,8 +216,10 @@ class RecordingContext:
         names: RecordedNames,
         from_ns: int | None = None,
         to_ns: int | None = None,
+        drives: Mapping[tuple[str, int], Mapping[str, object]] | None = None,
     ) -> None:
         self.facts = facts
+        self.drives: Mapping[tuple[str, int], Mapping[str, object]] = drives or {}
         self.names = names
         self.axes: dict[Place, Axis] = {}
         self.gaps: dict[str, None] = {}  # an ordered set
@@ -350,6 +354,9 @@ class Oracle:
 
     def sdo(self, time_ns: int, bus: str, event: DecodedEvent, data: bytes) -> None:
         """Handle a frame of an SDO transfer."""
+
+    def drive(self, time_ns: int, node: tuple[str, int], told: Told, sender: str) -> None:
+        """Handle a message to or from a drive (bus, node) with a protocol of its own."""
 
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
         """Handle a change of an identifier's sender."""

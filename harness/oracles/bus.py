@@ -31,7 +31,7 @@ class BusListener:
     """Listener that passes the decoded frames of one bus to the oracles.
 
     Attributes:
-        fd_frames: number of CAN FD frames, which are not judged.
+        fd_frames: number of CAN FD frames that no oracle judges.
     """
 
     def __init__(self, name: str, context: RecordingContext, oracles: Sequence[Oracle]) -> None:
@@ -59,8 +59,8 @@ class BusListener:
         self._on_sender = hooks(oracles, "sender")
         self._on_heartbeat = hooks(oracles, "heartbeat")
 
-    def take(self, time_ns: int, frame: bytes, sender: str) -> None:
-        """Take a recorded frame."""
+    def take(self, time_ns: int, frame: bytes, sender: str, *, is_known: bool = False) -> None:
+        """Take a recorded frame; `is_known`: it is of a drive with a protocol of its own."""
         can_id, length = _HEAD.unpack_from(frame)
         if can_id & _ERR:
             self._error(time_ns, frame, sender)
@@ -69,7 +69,7 @@ class BusListener:
             for oracle in self._oracles:
                 oracle.sent_while_off(time_ns, self._name, sender, can_id)
         if len(frame) != 16:
-            self.fd_frames += 1
+            self.fd_frames += not is_known
             return
         if can_id & _EFF_RTR:
             return

@@ -188,8 +188,8 @@ def _number(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) else None
 
 
-def read_rig(path: Path) -> dict[str, Subject]:
-    """Return the motors of a rig file, with the models it names.
+def read_rig(path: Path) -> Facts:
+    """Return the facts of a rig file: its motors, with the models it names, and its files.
 
     Raises:
         RigError: it cannot be read, is not valid TOML, or has no motor.
@@ -204,7 +204,7 @@ def read_rig(path: Path) -> dict[str, Subject]:
     subjects = subjects_in(files)
     if not subjects:
         raise root.missing("motor", "a rig has [motor.NAME]; motorhil new DIR writes one")
-    return subjects
+    return Facts(subjects, attachments=files)
 
 
 def read_limits(path: Path) -> dict[str, Subject]:

@@ -10,7 +10,7 @@ ownership the messages are read twice, and only if ownership is recorded.
 """
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Final, final
 
 from motorhil.harness.oracles import ownership
@@ -18,6 +18,8 @@ from motorhil.harness.oracles.arrival import Arrival
 from motorhil.harness.oracles.base import Finding, Oracle, RecordingContext, Verdict, hooks
 from motorhil.harness.oracles.bus import BusListener
 from motorhil.harness.oracles.commands import CommandsObeyed, ModeSigns
+from motorhil.harness.oracles.drives.listener import DriveListener
+from motorhil.harness.oracles.drives.rules import DRIVE_ORACLES
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.limits import (
     AccelerationLimit,
@@ -39,11 +41,11 @@ from motorhil.harness.oracles.process_data import TpdoTimes
 from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.oracles.services import ErrorsListed, NmtStates, Refusals
 from motorhil.harness.oracles.state_machine import StateMachine
-from motorhil.traces.decoding.attached_rig import names_of
+from motorhil.traces.decoding.attached_rig import facts_of, names_of, place_of
 from motorhil.traces.formats.frames import Findings as Reading
 from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import Trace, read_trace
-from motorhil.traces.mcap.records import Channel
+from motorhil.traces.mcap.records import Attachment, Channel
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import (
     CAN_FRAME,
@@ -51,6 +53,7 @@ from motorhil.traces.schema import (
     JOINT_STATE,
     LOG,
     MOTOR_LOCK,
+    SERIAL_DATA,
     DoublesDecoder,
     FrameDecoder,
     Level,
@@ -65,6 +68,7 @@ ORACLES: Final[tuple[type[Oracle], ...]] = (
     *(CommandsObeyed, ModeSigns, Arrival),
     *(SyncPeriod, Heartbeats, Answers, OneSender, BootUps, Confinement),
     *(NmtStates, Refusals, ErrorsListed, TpdoTimes),
+    *DRIVE_ORACLES,
 )
 CATALOGUE: Final = (
     *((one.id, one.promise, one.source, one.needs) for one in ORACLES),
@@ -113,7 +117,8 @@ def judge(
     if source.format == "mcap":
         with read_trace(source.path, source.memory_max) as trace:
             return _judge_trace(trace, facts, only, (from_ns, to_ns), note, seen)
-    context = RecordingContext(facts, names_of(facts.attachments), from_ns, to_ns)
+    names, drives = names_of(facts.attachments), _drives_in(facts.attachments)
+    context = RecordingContext(facts, names, from_ns, to_ns, drives)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.frames_of(source)
     pass_.report_unjudged(note)
@@ -137,8 +142,10 @@ def _judge_trace(
 ) -> list[Finding]:
     from_ns, to_ns = span_ns
     own = subjects_in(trace.attachments)
-    names = names_of([*trace.attachments, *facts.attachments])
-    context = RecordingContext(facts.with_more(own), names, from_ns, to_ns)
+    files = [*trace.attachments, *facts.attachments]
+    context = RecordingContext(
+        facts.with_more(own), names_of(files), from_ns, to_ns, _drives_in(files)
+    )
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.messages_of(trace, to_ns)
     pass_.report_unjudged(note)
@@ -146,6 +153,12 @@ def _judge_trace(
         seen.motors.update(own)
     pass_.saw(seen)
     return pass_.findings(trace, from_ns, to_ns)
+
+
+def _drives_in(files: Iterable[Attachment]) -> dict[tuple[str, int], Mapping[str, object]]:
+    """Return the tables of the controllers in an attached rig, by bus and node."""
+    tables = facts_of(files).settings.values()
+    return {place: table for table in tables if (place := place_of(table)) is not None}
 
 
 @final
@@ -164,12 +177,19 @@ class Pass:
         self._on_truth = hooks(self._oracles, "truth")
         self._motors: set[str] = set()  # with a state of their own in the recording
         self._buses: dict[str, BusListener] = {}
+        self._drives: dict[str, DriveListener] = {}
         self._handlers: dict[int, _Handler | None] = {}
         self._last_ns = 0
 
     def take_frame(self, time_ns: int, bus: str, frame: bytes, sender: str) -> None:
         """Take a frame from any source."""
-        self._listener(bus).take(time_ns, frame, sender)
+        is_known = self._drives_on(bus).take_frame(time_ns, frame, sender)
+        self._listener(bus).take(time_ns, frame, sender, is_known=is_known)
+        self._last_ns = max(self._last_ns, time_ns)
+
+    def take_bytes(self, time_ns: int, line: str, data: bytes, sender: str) -> None:
+        """Take what one sender sent on a serial line without a pause."""
+        self._drives_on(line).take_bytes(time_ns, data, sender)
         self._last_ns = max(self._last_ns, time_ns)
 
     def frames_of(self, source: Source) -> None:
@@ -246,6 +266,12 @@ class Pass:
             listener = self._buses[bus] = BusListener(bus, self._context, self._oracles)
         return listener
 
+    def _drives_on(self, bus: str) -> DriveListener:
+        listener = self._drives.get(bus)
+        if listener is None:
+            listener = self._drives[bus] = DriveListener(bus, self._context, self._oracles)
+        return listener
+
     def _handler(self, channel: Channel) -> _Handler | None:
         schema = channel.schema
         if schema is None or channel.encoding != "protobuf":
@@ -253,6 +279,8 @@ class Pass:
         parts = channel.topic.strip("/").split("/")
         if schema.name == CAN_FRAME.name:
             return self._frames(channel.topic.removeprefix("/can/"))
+        if schema.name == SERIAL_DATA.name and len(parts) > 1:
+            return self._bytes(parts[1])
         if schema.name == JOINT_STATE.name and len(parts) == 3:
             self._motors.add(parts[1])
             states = DoublesDecoder(JOINT_STATE)
@@ -271,12 +299,27 @@ class Pass:
 
     def _frames(self, bus: str) -> _Handler:
         take, decode_frame = self._listener(bus).take, FrameDecoder().decode
+        drives = self._drives_on(bus)
 
         def frame(time_ns: int, payload: bytes) -> None:
             data, _, sender = decode_frame(payload)
             take(time_ns, data, sender)
 
-        return frame
+        def drive_frame(time_ns: int, payload: bytes) -> None:
+            data, _, sender = decode_frame(payload)
+            is_known = drives.take_frame(time_ns, data, sender)
+            take(time_ns, data, sender, is_known=is_known)
+
+        return drive_frame if drives.count else frame
+
+    def _bytes(self, line: str) -> _Handler:
+        def data(time_ns: int, payload: bytes) -> None:
+            fields = decode(SERIAL_DATA, payload)
+            content = fields.get("data", b"")
+            if isinstance(content, bytes) and not fields.get("spoiled"):
+                self.take_bytes(time_ns, line, content, str(fields.get("sender", "")))
+
+        return data
 
     def _motion(self, motor: str, time_ns: int, values: Mapping[str, float]) -> None:
         for hook in self._on_motion:

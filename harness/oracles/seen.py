@@ -21,6 +21,7 @@ from motorhil.harness.oracles.base import (
     RecordingContext,
 )
 from motorhil.traces.decoding.canopen import emergency_text
+from motorhil.traces.exchange.drive_kinds import Told
 
 _LIMIT_ACTIVE: Final = 0x0800  # bit 11
 _MAX_TORQUE: Final = 0x6072
@@ -79,6 +80,9 @@ class Incidents(Oracle):
         self._found: dict[tuple[str, str], Incident] = {}
         self._states: dict[Place, int | None] = {}
         self._limited: set[tuple[Place, int]] = set()
+        self._told: dict[tuple[str, int], str] = {}
+        self._starved: set[tuple[str, int]] = set()
+        self._moved: set[tuple[str, int]] = set()  # drives that were told to move
 
     def incidents(self) -> list[Incident]:
         """Return all incidents in the order of their first time."""
@@ -109,6 +113,25 @@ class Incidents(Oracle):
             name = axis.name if axis else self.context.names.nodes.get((bus, node), "")
             place = f"{bus} node {node}" + (f" ({name})" if name else "")
             self._note(time_ns, place, f"EMCY {code:04X}h {emergency_text(code)}")
+
+    def drive(self, time_ns: int, node: tuple[str, int], told: Told, sender: str) -> None:
+        """Note what a drive with a protocol of its own tells: a fault, or no commands in time."""
+        if told.is_own:
+            self.context.saw(*node)
+        name = self.context.names.nodes.get(node, "")
+        place = f"{node[0]} node {node[1]}" + (f" ({name})" if name else "")
+        if told.fault is not None and told.fault != self._told.get(node, ""):
+            self._told[node] = told.fault
+            if told.fault:
+                self._note(time_ns, place, f"fault: {told.fault}")
+        if told.moves:
+            self._moved.add(node)
+        elif told.rests:
+            self._moved.discard(node)
+        if told.is_starved is not None and told.is_starved != (node in self._starved):
+            (self._starved.add if told.is_starved else self._starved.discard)(node)
+            if told.is_starved and node in self._moved:
+                self._note(time_ns, place, "watchdog: no commands in time")
 
     def event(self, time_ns: int, name: str, text: str) -> None:
         """Note an event of the level error."""

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, final
 
 from motorhil.harness.plugins import DECODERS, Plugin, installed, named
 from motorhil.harness.recording.dbc import Dbc
-from motorhil.traces.decoding.attached_rig import facts_of
+from motorhil.traces.decoding.attached_rig import facts_of, place_of
 from motorhil.traces.decoding.narrative import BusMessage, Describe
 from motorhil.traces.errors import TraceError
 from motorhil.traces.formats.frames import Findings, Frame
@@ -66,6 +66,14 @@ def description_for(
         return by_file(bus, frame) or decoders(bus, frame)
 
     return describe
+
+
+def described_nodes(attachments: Iterable[Attachment]) -> set[tuple[str, int]]:
+    """Return the buses and nodes of the controllers whose kind has a decoder."""
+    kinds = installed(DECODERS)
+    tables = facts_of(attachments).settings.values()
+    places = (place_of(table) for table in tables if table.get("kind") in kinds)
+    return {place for place in places if place is not None}
 
 
 def messages_at(

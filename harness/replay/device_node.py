@@ -2,7 +2,8 @@
 
 They answer a live host as the recorded ones answered the recorded host; see `ExchangePlayer`. A
 request that the recording cannot answer is refused, by an SDO abort or an exception, and reported
-as an error. A rig names them by the kind `recorded` (entry point `motorhil.controllers`):
+as an error. Drives with a protocol of their own are in `device_drive`. A rig names them by the kind
+`recorded` (entry point `motorhil.controllers`):
 
 [controller.left]
 kind = "recorded"
@@ -20,17 +21,17 @@ Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Final, final
 
-from motorhil.emulators.can.frame import FRAME_BYTES
 from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.modbus.rtu import crc16, with_crc
-from motorhil.harness.replay.frames import duration_ns
+from motorhil.harness.replay.device_drive import RecordedDrive
 from motorhil.harness.replay.player import ExchangePlayer
+from motorhil.harness.replay.recorded_controller import RecordedController, timed_log
 from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
 from motorhil.settings import REQUIRED, Rule, SettingError, read, text, whole, word
 from motorhil.traces.can_frame import EFF, ERR, RTR, classic
@@ -47,6 +48,7 @@ from motorhil.traces.exchange.canopen import (
     sdo_key,
     sentence,
 )
+from motorhil.traces.exchange.drive_kinds import readers_of
 from motorhil.traces.exchange.modbus import request_key, role_of
 from motorhil.traces.exchange.recording import RecordedExchanges, exchanges_of
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
@@ -67,68 +69,6 @@ NO_DATA: Final = 0x0800_0024
 _SHORTEST: Final = 4
 DEVICE_FAILURE: Final = 4
 """Exception code: server device failure."""
-
-
-class RecordedController:
-    """Protocol-independent part of `motorhil.emulators.controller.Controller`.
-
-    Args:
-        player: the player of its exchange log.
-        word: the word for it in messages: drive, unit.
-        note: a remark about the recording, reported at power-on.
-
-    Attributes:
-        player: holds the matched commands and the mismatches.
-    """
-
-    def __init__(self, player: ExchangePlayer, word: str, note: str) -> None:
-        self.player: Final = player
-        self._word = word
-        self._output: list[bytes] = []
-        self._events: list[tuple[str, str]] = [("warning", note)] if note else []
-
-    def start(self, now_ns: int) -> None:
-        """Start the playback at `now_ns`."""
-        self.player.start(now_ns)
-
-    def sent(self, data: bytes, now_ns: int) -> bool | None:
-        """Ignore the transmission of a frame."""
-        return False
-
-    def wants_sent(self) -> bool:
-        """Return False: transmissions are ignored."""
-        return False
-
-    def next_deadline_ns(self) -> int | None:
-        """Return when the next frame is due [ns], or None."""
-        return self.player.next_deadline_ns()
-
-    def take_output(self) -> Sequence[bytes]:
-        """Return the frames to send now."""
-        output, self._output = self._output, []
-        return output
-
-    def take_events(self) -> Sequence[tuple[str, str]]:
-        """Return the events since the last call: commands without an answer."""
-        events, self._events = self._events, []
-        return events
-
-    def stimulate(self, name: str, value: float, now_ns: int) -> None:
-        """Refuse the stimulus: a recorded controller has no inputs.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError(f"stimulus {name!r}: a recorded {self._word} has no inputs")
-
-    def snapshot(self, now_ns: int) -> Mapping[str, float]:
-        """Return the numbers of matched commands and of mismatches."""
-        mismatches = len(self.player.mismatches)
-        return {"matched": float(self.player.matched), "mismatches": float(mismatches)}
-
-    def identifiers_revision(self) -> int:
-        """Return 0: the identifiers never change."""
-        return 0
 
 
 @final
@@ -156,7 +96,7 @@ class RecordedNode(RecordedController):
         note: str = "",
         data_bit_ns: int = 0,
     ) -> None:
-        timed, left_out = _timed(log, bit_ns, data_bit_ns)
+        timed, left_out = timed_log(log, bit_ns, data_bit_ns)
         notes = [note] if note else []
         fast = sorted(log.periods_ns.keys() - timed.periods_ns.keys())
         if fast:
@@ -337,59 +277,6 @@ def _is_same(step: Step, recorded: bytes, frame: bytes) -> bool:
     return not is_block_download and same_head and meant(recorded[8:]) == meant(frame[8:])
 
 
-def _timed(log: ExchangeLog, bit_ns: int, data_bit_ns: int) -> tuple[ExchangeLog, int]:
-    """Return the log with frame durations at these bit times, and the number of omitted frames."""
-    left_out = 0
-    durations_ns: dict[int, int] = {}  # by identifier
-
-    def timed(sent: list[Sent]) -> list[Sent]:
-        nonlocal left_out
-        kept = [
-            Sent(one.delay_ns, one.data, duration_ns(one.data, bit_ns, data_bit_ns), one.goes_on)
-            for one in sent
-            if data_bit_ns or len(one.data) == FRAME_BYTES
-        ]
-        left_out += len(sent) - len(kept)
-        durations_ns.update((_identifier(one), one.duration_ns) for one in kept)
-        return kept
-
-    steps = [
-        replace(
-            step,
-            reactions=timed(step.reactions),
-            answers=timed(step.answers),
-            turns=[replace(turn, answers=timed(turn.answers)) for turn in step.turns],
-        )
-        for step in log.steps
-    ]
-    periods_ns = _carried(log.periods_ns, durations_ns)
-    if periods_ns.keys() != log.periods_ns.keys():
-        for step in steps:
-            step.reactions = [
-                one._replace(goes_on=one.goes_on and _identifier(one) in periods_ns)
-                for one in step.reactions
-            ]
-    return replace(log, steps=steps, periods_ns=periods_ns), left_out
-
-
-def _carried(periods_ns: Mapping[int, int], durations_ns: Mapping[int, int]) -> dict[int, int]:
-    """Return the periods, longest first, of frames that fit on the bus together.
-
-    More than that would fill the node's transmit queue, without end.
-    """
-    found: dict[int, int] = {}
-    load = 0.0
-    for identifier, period_ns in sorted(periods_ns.items(), key=lambda one: -one[1]):
-        load += durations_ns.get(identifier, 0) / period_ns
-        if load <= 1.0:
-            found[identifier] = period_ns
-    return found
-
-
-def _identifier(sent: Sent) -> int:
-    return int.from_bytes(sent.data[:4], "little")
-
-
 @final
 class RecordedUnit(RecordedController):
     """Implementation of `motorhil.emulators.controller.Controller` for a recorded Modbus unit.
@@ -446,7 +333,7 @@ class RecordedTable:
     recording: str = text(
         REQUIRED, "The recording, from the rig's folder on.", example='"bench.mcap"'
     )
-    node_id: int | None = whole(None, 1, NODE_MAX, "", "Its node-ID, on a CAN bus.")
+    node_id: int | None = whole(None, 0, NODE_MAX, "", "Its node-ID, on a CAN bus.")
     unit: int | None = whole(None, 1, UNIT_MAX, "", "Its server address, on a line.")
     recorded_bus: str | None = text(None, "Its bus in the recording, if there are several.")
     recorded_unit: int | None = whole(None, 0, 255, "", "Its address there; absent: unit.")
@@ -503,9 +390,16 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         note = f"{path} is {found.cut}; commands behind that are not in it"
     if is_unit:
         return RecordedUnit(log, number, note)
+    bit_ns = 1_000_000_000 // own.bitrate_bit_s
     data_bit_ns = 0 if own.data_bitrate_bit_s is None else 1_000_000_000 // own.data_bitrate_bit_s
+    table = found.drives.get((log.bus, recorded))
+    if table is not None:
+        readers = readers_of(str(table["kind"]), number, table)
+        assert readers is not None  # it has a log
+        is_any = own.set_points == SET_POINTS[1]
+        return RecordedDrive(log, readers, bit_ns, note, data_bit_ns, is_any)
     # Decoding changes a decoder, and `found` is that of all rigs of this process.
-    decoder, bit_ns = deepcopy(found.decoders[log.bus]), 1_000_000_000 // own.bitrate_bit_s
+    decoder = deepcopy(found.decoders[log.bus])
     return RecordedNode(log, decoder, number, bit_ns, note, data_bit_ns)
 
 

@@ -16,16 +16,19 @@ devices have booted, and both sides are compared from the host's first frame on.
 with the same names and objects: those of the recording, completed by those of the rig.
 """
 
+import sys
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
 from motorhil.harness.plugins import CONTROLLERS, named, own_eds
+from motorhil.harness.recording.decoders import described_nodes, description_for
 from motorhil.harness.replay.frames import PAUSE_MAX_S, STRAY_NS, Pauses, duration_ns, never
 from motorhil.harness.replay.verdict import meaning_in
 from motorhil.harness.rig.config.buses import CAN
@@ -35,7 +38,7 @@ from motorhil.traces.can_frame import classic
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of, rig_in
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import Kind
-from motorhil.traces.decoding.narrative import Line
+from motorhil.traces.decoding.narrative import Describe, Line
 from motorhil.traces.decoding.objects import ObjectNames
 from motorhil.traces.exchange.host import (
     ANSWER,
@@ -51,6 +54,7 @@ from motorhil.traces.exchange.host import (
 )
 from motorhil.traces.formats.frames import NS
 from motorhil.traces.mcap.reader import Trace, read_trace
+from motorhil.traces.mcap.records import Attachment
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.semantics.diff import (
     Difference,
@@ -618,6 +622,7 @@ def drive(
     with read_trace(recording) as trace:
         found = survey_of(trace)
         names = names_of(trace.attachments)
+        described = described_nodes(trace.attachments)
         if bench is not None:
             names = names.completed_by(bench.names)
         side = _side_of(found, host_nodes, present, notes)
@@ -656,7 +661,7 @@ def drive(
             runtime.wait_until(_changed(player, due_ns), left_s)
     runtime.wait_until(never, max(0, end_ns - steps[-1].end_ns) / 1e9 + _TAIL_S)
     from_ns = (begin_ns, began_ns + 1) if awaited else (0, 0)
-    strangers = frozenset(present or ()) - {*found.running(), *found.nodes()}
+    strangers = frozenset(present or ()) - {*found.running(), *found.nodes(), *described}
     if strangers:
         notes.append(f"not in the recording, so not compared: {_listed(strangers)}")
     _note_silent(player.silent, notes)
@@ -895,13 +900,26 @@ def compared(
     sides = side, side if reading.side is None else replace(side, by_direction=True)
     first, second = (
         told_by_nodes(
-            meaning_in(path, "replay", reading.names, _reports(side, reading, from_ns)), foreign
+            meaning_in(
+                *(path, "replay", reading.names, _reports(side, reading, from_ns)),
+                _description(recording, live) if side.by_direction else None,
+            ),
+            foreign,
         )
         for path, side, from_ns in zip((recording, live), sides, reading.from_ns, strict=True)
     )
     if pairs:
         first = retimed(first, pairs)
     return fidelity(first, second, tolerance), differences(first, second, tolerance)
+
+
+def _description(recording: Path, live: Path) -> Describe | None:
+    """Return what describes drives with protocols of their own, by the rig of one of the files."""
+    attachments: list[Attachment] = []
+    for path in (recording, live):
+        with read_trace(path) as trace:
+            attachments += trace.attachments
+    return description_for(attachments, None, (), partial(print, file=sys.stderr))
 
 
 def _reports(side: HostSide, reading: Reading, from_ns: int) -> Callable[[Line], bool]:
@@ -912,7 +930,7 @@ def _reports(side: HostSide, reading: Reading, from_ns: int) -> Callable[[Line],
             return False
         if line.said is None or line.identifier is None:  # not a frame of a CAN bus
             return True
-        is_stranger = (line.place, line.said.node) in reading.strangers
+        is_stranger = (line.place, line.node) in reading.strangers
         return not is_stranger and not side.sent(line.said, line.direction)
 
     return is_report

@@ -9,6 +9,7 @@ A host may be faster than the recorded one and cut short the remaining reactions
 frame of each identifier is sent, at once.
 """
 
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
@@ -85,6 +86,7 @@ class ExchangePlayer:
         self._asked = 0
         self._periodic: dict[int, tuple[int, bytes]] = {}  # identifier: next due time, frame
         self._before: deque[str] = deque(maxlen=_KEPT)
+        self._by_key: dict[Key, list[int]] = {}  # built when it is first needed
 
     def start(self, now_ns: int) -> None:
         """Start the playback at `now_ns`."""
@@ -135,6 +137,12 @@ class ExchangePlayer:
                 self._latest[key] = step
             self._has_answered(step)
         return step
+
+    def nearest(self, key: Key) -> Step | None:
+        """Return the last answered poll of this key up to the present place of the recording."""
+        numbers = self._numbers_of(key)
+        place = bisect_right(numbers, self._place)
+        return self._steps[numbers[place - 1]] if place else None
 
     def forget(self) -> None:
         """Forget all earlier values and answers, after the controller's restart."""
@@ -208,6 +216,14 @@ class ExchangePlayer:
         heapify(self._due)
 
     # -------------------------------------------------------------------------------- inside
+
+    def _numbers_of(self, key: Key) -> list[int]:
+        """Return the numbers of the answered polls of a key, in order."""
+        if not self._by_key:
+            for number, step in enumerate(self._steps):
+                if step.role is Role.POLL and step.turns and not _is_silent(step):
+                    self._by_key.setdefault(step.key, []).append(number)
+        return self._by_key.get(key, [])
 
     def _has_answered(self, step: Step) -> None:
         """Keep the text of the answer; a PDO or a SYNC has no text."""

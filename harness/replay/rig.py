@@ -21,6 +21,7 @@ from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.recording import named_files
 from motorhil.traces.decoding.attached_rig import rig_in as rig_of
 from motorhil.traces.errors import TraceError
+from motorhil.traces.exchange.drive_kinds import CAN_KINDS
 from motorhil.traces.exchange.recording import RecordedExchanges
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.records import Attachment
@@ -49,15 +50,15 @@ def with_recorded(
     its `recorded_bus` and `recorded_unit` where they differ from the rig's.
 
     Raises:
-        RigError: a controller is of a kind with a protocol of its own.
+        RigError: a controller is of a kind that no recording stands in for.
     """
-    controllers, others = {}, installed(DECODERS)
+    controllers, others = {}, installed(DECODERS).keys() - CAN_KINDS
     for name, controller in description.controllers.items():
         if controller.kind in others:
             raise description.error(
                 ("controller", name, "kind"),
-                f'no recording stands in for "{controller.kind}": its protocol is neither CANopen'
-                " nor Modbus",
+                f'no recording stands in for "{controller.kind}": its requests and answers are not'
+                " known",
                 "run the application on the rig, with the emulated drive (motorhil run RIG SCRIPT),"
                 " or replay the host or the traffic (--as host, --as traffic)",
             )

@@ -8,10 +8,10 @@ from os import PathLike
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.harness.recording.conversion import open_recording
-from motorhil.harness.replay.device_node import RecordedNode, RecordedUnit
 from motorhil.harness.replay.player import ExchangePlayer, Mismatch
+from motorhil.harness.replay.recorded_controller import RecordedController
 from motorhil.traces.decoding.attached_rig import RecordedNames
-from motorhil.traces.decoding.narrative import Line
+from motorhil.traces.decoding.narrative import Describe, Line
 from motorhil.traces.exchange.steps import Step
 from motorhil.traces.semantics.model import Meaning, meaning_of
 
@@ -36,9 +36,7 @@ def players(rig: "Rig") -> dict[str, ExchangePlayer]:
     """Return the players of the rig's recorded controllers, by name."""
     cores = {name: rig.controllers[name].core for name in rig.description.controllers}
     return {
-        name: core.player
-        for name, core in cores.items()
-        if isinstance(core, RecordedNode | RecordedUnit)
+        name: core.player for name, core in cores.items() if isinstance(core, RecordedController)
     }
 
 
@@ -101,6 +99,7 @@ def meaning_in(
     verb: str,
     names: RecordedNames | None = None,
     is_report: Callable[[Line], bool] | None = None,
+    describe: Describe | None = None,
 ) -> Meaning:
     """Return the recording's meaning; report a cut recording on stderr in the verb's name.
 
@@ -109,13 +108,14 @@ def meaning_in(
         verb: the verb of the command line.
         names: as of `meaning_of`.
         is_report: as of `meaning_of`.
+        describe: as of `meaning_of`.
 
     Raises:
         TraceError: the recording cannot be read, or is damaged.
     """
     tell = partial(print, f"motorhil {verb}:", file=sys.stderr)
     with open_recording(path, tell) as trace:
-        meaning = meaning_of(trace, names, is_report)
+        meaning = meaning_of(trace, names, is_report, describe=describe)
         if trace.cut is not None:
             print(f"motorhil {verb}: {path}: {trace.cut}", file=sys.stderr)
     return meaning

@@ -107,7 +107,7 @@ FOLDERS = (
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
     *("harness/conformance/drives", "harness/conformance/drives/clauses"),
     *("harness/conformance/verdicts", "harness/examples", "harness/examples/new_drive"),
-    *("harness/oracles",),
+    *("harness/oracles", "harness/oracles/drives"),
     *("harness/pytest_plugin", "harness/replay", "harness/report", "harness/rig/config"),
     *("harness/sharing_tests", "harness/virtual_time/stdlib"),
     *("motorapi", "motorapi/adaptations", "motorapi/adaptations/modbus", "motorapi/api"),

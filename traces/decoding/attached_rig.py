@@ -131,7 +131,7 @@ def names_of(attachments: Iterable[Attachment]) -> RecordedNames:
     facts = facts_of(files.values())
     names = RecordedNames()
     for name, table in facts.settings.items():
-        place = _place(table)
+        place = place_of(table)
         if place is None:
             continue
         names.nodes[place] = name
@@ -220,9 +220,9 @@ def _motor(
     name: str, motor: Table, controllers: dict[str, Table], files: dict[str, Table]
 ) -> MotorFacts:
     controller = motor.get("controller")
-    place = _place(controllers.get(controller, {}) if isinstance(controller, str) else motor)
+    place = place_of(controllers.get(controller, {}) if isinstance(controller, str) else motor)
     if controller is None and place is not None:
-        controller = next((c for c, table in controllers.items() if _place(table) == place), None)
+        controller = next((c for c, table in controllers.items() if place_of(table) == place), None)
     channel = motor.get("channel", 1)
     given = motor.get("model")
     model = given if isinstance(given, dict) else {}
@@ -276,6 +276,7 @@ def _tables(rig: Table, kind: str) -> dict[str, Table]:
     return {name: table for name, table in found.items() if isinstance(table, dict)}
 
 
-def _place(table: Table) -> tuple[str, int] | None:
+def place_of(table: Mapping[str, object]) -> tuple[str, int] | None:
+    """Return bus and node of a controller's or motor's table; None: not given."""
     bus, number = table.get("bus"), table.get("node_id", table.get("unit"))
     return (bus, number) if isinstance(bus, str) and isinstance(number, int) else None

@@ -1,11 +1,14 @@
-"""Exchange logs of all CANopen nodes and Modbus units in a recording."""
+"""Exchange logs of all CANopen nodes, Modbus units and known drives in a recording."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final, final
 
-from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
+from motorhil.traces.decoding.attached_rig import RecordedNames, facts_of, names_of, place_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.exchange.canopen import CanopenExchanges
+from motorhil.traces.exchange.drive_kinds import CAN_KINDS, readers_of
+from motorhil.traces.exchange.drives import DriveExchanges
 from motorhil.traces.exchange.modbus import LineAdu, modbus_logs
 from motorhil.traces.exchange.steps import ExchangeLog
 from motorhil.traces.formats.modbus import Adu, recorded_adu
@@ -27,12 +30,14 @@ class RecordedExchanges:
         decoders: decoders of the CAN buses by name; they have seen the whole recording.
         tcp: the lines that are Modbus/TCP.
         cut: where the recording ends prematurely, in words; "": it is complete.
+        drives: the tables of drives with a protocol of their own, by bus and node.
     """
 
     logs: dict[tuple[str, int], ExchangeLog]
     decoders: dict[str, CanopenDecoder]
     tcp: frozenset[str] = frozenset()
     cut: str = ""
+    drives: Mapping[tuple[str, int], Mapping[str, object]] = field(default_factory=dict)
 
 
 def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges:
@@ -50,6 +55,8 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
     begin_ns = 0 if _RUN in trace.metadata else span[0]
     buses: dict[str, CanopenExchanges] = {}
     lines: dict[str, list[LineAdu]] = {}
+    tables = _drives_of(trace)
+    drives = _exchanges_of_drives(tables, names, begin_ns, any_set_point)
     frames = FrameDecoder()
     for channel, time_ns, payload in trace.messages():
         kind = channel.schema.name if channel.schema is not None else ""
@@ -60,7 +67,9 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
                 if cutter is None:
                     cutter = buses[place] = _cutter(place, begin_ns, names, any_set_point)
                 frame, direction, sender = frames.decode(payload)
-                cutter.take(time_ns, frame, direction, sender)
+                known = [one.take(time_ns, frame, sender) for one in drives.get(place, ())]
+                if not any(known):
+                    cutter.take(time_ns, frame, direction, sender)
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)
                 start_ns, end_ns = values.get("start_ns", 0), values.get("end_ns", 0)
@@ -76,13 +85,42 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
     found: dict[tuple[str, int], ExchangeLog] = {}
     for bus, cutter in buses.items():
         found |= {(bus, number): log for number, log in cutter.logs().items()}
+        own = [one.finished() for one in drives.get(bus, ()) if one.has_sent]
+        found |= {(bus, log.number): log for log in own}
     for line, adus in lines.items():
         units = modbus_logs(line, adus, begin_ns)
         found |= {(line, unit): log for unit, log in units.items()}
     tcp = frozenset(line for line, adus in lines.items() if any(one.is_tcp for one in adus))
     decoders = {bus: cutter.decoder for bus, cutter in buses.items()}
     cut = "" if trace.cut is None else str(trace.cut)
-    return RecordedExchanges(found, decoders, tcp, cut)
+    return RecordedExchanges(found, decoders, tcp, cut, tables)
+
+
+def _drives_of(trace: Trace) -> dict[tuple[str, int], Mapping[str, object]]:
+    """Return the tables of the drives on CAN buses that have a protocol of their own."""
+    found: dict[tuple[str, int], Mapping[str, object]] = {}
+    for table in facts_of(trace.attachments).settings.values():
+        place = place_of(table)
+        if place is not None and table.get("kind") in CAN_KINDS:
+            found[place] = table
+    return found
+
+
+def _exchanges_of_drives(
+    tables: Mapping[tuple[str, int], Mapping[str, object]],
+    names: RecordedNames,
+    begin_ns: int,
+    any_set_point: bool,
+) -> dict[str, list[DriveExchanges]]:
+    """Return the logs to be built, by bus."""
+    found: dict[str, list[DriveExchanges]] = {}
+    for place, table in tables.items():
+        readers = readers_of(str(table["kind"]), place[1], table)
+        if readers is not None:
+            name = names.nodes.get(place, "")
+            log = DriveExchanges(place, name, readers, begin_ns, any_set_point)
+            found.setdefault(place[0], []).append(log)
+    return found
 
 
 def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenExchanges:

@@ -13,6 +13,7 @@ differ in everything that follows. Measured quantities that vary from run to run
 currents, and others with many values in arbitrary order) are not compared, and the result says so.
 """
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from motorhil.traces.semantics.model import COMMANDS, Item, Key, Meaning, Series
 
 _MEASURED_MIN: Final = 32
 """The number of different values in both from which on a subject is a measured quantity."""
+_TURN: Final = {"rad": math.tau, "deg": 360.0, "rev": 1.0}  # of units of described signals
 _SURE: Final = 0.99  # of the tolerance: the rest covers the rounding of an interpolation
 
 
@@ -124,8 +126,10 @@ def allowed_of(key: Key, one: Series, other: Series, tolerance: Tolerance) -> fl
     """Return the tolerance between the two, in the quantity's own unit."""
     if key[1] is None and key[2] == "position":
         return tolerance.position
+    unit = key[2].rpartition("[")[2].removesuffix("]")
+    least = 2.0 if unit not in _TURN else tolerance.position * _TURN[unit] / math.tau
     spread = max(max(one[1]) - min(one[1]), max(other[1]) - min(other[1]))
-    return max(2.0, tolerance.share * spread)
+    return max(least, tolerance.share * spread)
 
 
 def apart(series: Series, against: Series, time_ns: int) -> Iterator[tuple[int, float]]:

@@ -5,6 +5,7 @@ and source of events has an order of its own, so frames of unrelated nodes can c
 Commands to one node keep their order.
 """
 
+import math
 from array import array
 from collections.abc import Callable, MutableSequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import Final, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Kind, Value
-from motorhil.traces.decoding.narrative import Line, Story
+from motorhil.traces.decoding.narrative import BusMessage, Describe, Line, Story
 from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.reader import Trace, TraceMessage
@@ -27,7 +28,9 @@ _ALWAYS_AT_END: Final = ("aborted", "refused")
 """Reports that count each time: their subjects, or the ends of these."""
 _QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
 """Motion that is compared: positions and set-points, but not measured velocities and currents."""
-
+POSITION_UNITS: Final = ("rad", "deg", "rev", "count", "pulses")
+"""Units of described signals that are compared as motion; those of other units are measured."""
+_COUNTERS: Final = ("erpm", "tachometer")  # of a VESC: measured, without a unit
 
 _ITEM_BYTES: Final = 250
 _SAMPLE_BYTES: Final = 20
@@ -75,6 +78,9 @@ class Meaning:
 
     def take(self, line: Line, names: dict[tuple[str, int], str]) -> None:
         """Take a line of the story."""
+        if line.message is not None and line.message.node is not None:
+            self._take_message(line, line.message, names)
+            return
         if line.said is not None:
             self._take_said(line, line.said, names)
             return
@@ -97,6 +103,31 @@ class Meaning:
         if key not in self.labels:
             self.labels[key] = f"motor {motor}, position"
         self._move(key, time_ns, position)
+
+    def _take_message(
+        self, line: Line, message: BusMessage, names: dict[tuple[str, int], str]
+    ) -> None:
+        """Take the signals of a device's message: positions as motion, states in order."""
+        place, node = line.place, message.node
+        assert node is not None
+        name = names.get((place, node))
+        who = f"{place}, node {node}" + (f" ({name})" if name else "")
+        for signal, value, unit in message.signals:
+            subject = f"{message.name} {signal}" + (f" [{unit}]" if unit else "")
+            key: Key = (place, node, subject)
+            self.labels.setdefault(key, f"{who}, {subject}")
+            if isinstance(value, float) and math.isnan(value):
+                continue  # it has no value now
+            if unit in POSITION_UNITS and not isinstance(value, str):
+                self._move(key, line.time_ns, float(value))
+            elif unit or isinstance(value, float) or signal in _COUNTERS:
+                self.unheeded[key] = self.unheeded.get(key, 0) + 1
+            elif self._is_news((place, node, False, subject), value, Kind.OTHER):
+                self._add(key, line.time_ns, (subject, str(value)), f"{subject} = {value}")
+        if message.problem:
+            subject = f"{message.name}: {message.problem}"
+            self.labels.setdefault((place, node, subject), f"{who}, {subject}")
+            self._add((place, node, subject), line.time_ns, (subject,), subject)
 
     def _take_said(self, line: Line, said: DecodedEvent, names: dict[tuple[str, int], str]) -> None:
         place, node = line.place, said.node
@@ -170,6 +201,7 @@ def meaning_of(
     names: RecordedNames | None = None,
     is_report: Callable[[Line], bool] | None = None,
     memory_max: int | None = None,
+    describe: Describe | None = None,
 ) -> Meaning:
     """Return the meaning of a recording; of a cut one, as far as it goes.
 
@@ -179,11 +211,13 @@ def meaning_of(
         is_report: returns True for the lines to take, and the result has only the reports in them;
             None: all lines, with commands.
         memory_max: the most bytes of its events and motion; None: any.
+        describe: returns the message in a frame of another protocol than CANopen.
 
     Raises:
         TraceError: the recording is damaged, or has more events and motion.
     """
-    story, meaning = Story(trace, names), Meaning(of_devices=is_report is not None)
+    story = Story(trace, names, describe)
+    meaning = Meaning(of_devices=is_report is not None)
     states = DoublesDecoder(JOINT_STATE)
     for message in trace.messages():
         meaning.messages += 1

@@ -6,6 +6,7 @@ import pytest
 
 from motorhil.harness.oracles.judge import IDS
 from tests.support.golden import golden
+from tests.support.kit_benches import RIGS
 from tests.support.recordings.story import RIG, record, story
 from tests.unit.harness.oracles.test_broken import without
 
@@ -27,7 +28,7 @@ def test_sound_recording_passes_with_counts(say, sound):
     lines = out.splitlines()
     assert lines[0] == "oracle              verdict          looked at"
     assert "pds-legal           held                     6" in lines
-    verdict = "sound, as far as it could be judged: 18 held, 5 could not judge; 2 incidents seen"
+    verdict = "sound, as far as it could be judged: 18 held, 8 could not judge; 2 incidents seen"
     assert lines[-1] == f"{sound}: {verdict}"
 
 
@@ -165,3 +166,21 @@ def test_wrong_usage_is_reported(say, sound, tmp_path):
     status, _, err = say("judge", sound, "--rig", str(empty))
     assert status == 2
     assert "motor: is missing" in err
+
+
+def test_rig_names_the_drives_of_an_imported_recording(say, tmp_path):
+    log, rig = str(tmp_path / "rmd.log"), tmp_path / "rig.toml"
+    only = [word for one in ("drive-answered", "one-drive") for word in ("--only", one)]
+    rig.write_text((RIGS / "rmd.toml").read_text())
+    with golden("rmd") as path:
+        assert say("convert", str(path), "-o", log)[0] == 0
+    assert say("judge", log, *only)[0] == 3
+    status, out, _ = say("judge", log, "--rig", str(rig), *only)
+    assert status == 0
+    assert out.splitlines()[-1].endswith("sound, as far as it could be judged: 2 held")
+
+
+def test_fd_frames_of_a_known_drive_are_judged(say):
+    with golden("moteus") as path:
+        status, _, err = say("judge", str(path))
+    assert (status, err) == (0, "")

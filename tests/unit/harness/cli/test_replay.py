@@ -8,6 +8,7 @@ import pytest
 
 from motorhil.harness.cli.main import main
 from tests.support.golden import FOLDER
+from tests.support.kit_benches import RIGS
 from tests.support.recordings.altered import copied
 
 CAN_SCRIPT = """\
@@ -97,11 +98,20 @@ def test_as_host_lists_every_object(folder, say):
 
 
 def test_as_host_with_nothing_to_compare_is_not_passed(folder, say):
-    """Passed, whatever the drives did: no value of RMD's frames was compared."""
-    status, out, err = say("replay", str(FOLDER / "rmd.mcap"), "--as", "host")
+    """A candump log does not tell which frames the host sent."""
+    assert say("convert", str(FOLDER / "rmd.mcap"), "-o", "rmd.log")[0] == 0
+    rig = str(RIGS / "rmd.toml")
+    status, out, err = say("replay", "rmd.log", "--as", "host", "--rig", rig)
     assert status == 3
     assert "0 objects" in out
-    assert "rmd.mcap: nothing was compared: no value of these devices can be compared" in err
+    assert "rmd.log: nothing was compared: no value of these devices can be compared" in err
+
+
+def test_as_host_compares_positions_and_states_of_an_rmd(folder, say):
+    status, out, err = say("replay", str(FOLDER / "rmd.mcap"), "--as", "host")
+    assert (status, err) == (0, "")
+    assert "can0, node 1 (left), absolute position answered angle [deg]" in out
+    assert "16 objects and 18 not compared, 100.00 % of what they tell agrees" in out
 
 
 def test_as_host_json_has_all_facts(folder, say):

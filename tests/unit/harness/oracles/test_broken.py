@@ -141,6 +141,9 @@ REACH = {  # of the sound story, counted by hand
     "errors-listed": 1,
     "tpdo-times": 0,  # no transmission type is known
     "error-states": 4,  # warning, passive, bus-off, restarted
+    "drive-answered": 0,  # these three: no drive has a protocol of its own
+    "one-drive": 0,
+    "fault-heeded": 0,
     "owner-commands": 7,  # 0Fh, 1Fh, 0Fh, 80h, and three objects written
 }
 

@@ -25,20 +25,21 @@ _CAN = {
 }
 _DRIVE = _CAN | {"limit-acceleration", "pds-legal", "torque-off"}
 _MODES = {"mode-signs", "arrival-true", "tpdo-times"}
+_DRIVES = {"limit-velocity", "drive-answered", "one-drive", "fault-heeded"}
 HELD = {
     "cia402": _DRIVE | _MODES | {"rest-when-told"},
     "overload": _DRIVE | _MODES | {"fault-told", "errors-listed"},
     "software": _CAN | {"sync-period", "sdo-refusals", "tpdo-times"},
-    "dynamixel": {"limit-velocity"},
+    "dynamixel": _DRIVES,
     "leadshine": {"limit-velocity"},
     "leadshine_tcp": {"limit-velocity"},
     "dryve": {"torque-off"},
-    "mit": {"limit-velocity"},
-    "moteus": {"limit-velocity"},
+    "mit": _DRIVES,
+    "moteus": _DRIVES,
     "oriental_az": {"limit-velocity"},
-    "rmd": {"limit-velocity"},
-    "robstride": {"limit-velocity"},
-    "vesc": {"limit-velocity"},
+    "rmd": _DRIVES,
+    "robstride": _DRIVES,
+    "vesc": _DRIVES,
 }
 
 

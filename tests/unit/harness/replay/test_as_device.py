@@ -8,12 +8,16 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from motorhil.harness.replay.rig import with_recorded
-from motorhil.harness.replay.verdict import players, unanswered
+from motorhil.harness.replay.verdict import never_came, players, unanswered
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, MotorError
+from motorhil.traces.can_frame import EFF, classic
+from motorhil.traces.exchange.drive_kinds import readers_of
+from motorhil.traces.exchange.drives import drive_key
 from motorhil.traces.mcap.reader import read_trace
-from tests.support.golden import described, golden, overload, record
+from tests.support.golden import GOLDEN, described, golden, overload, record
 from tests.support.recordings.altered import copied, traffic
+from tests.unit.harness.replay.test_golden import DESCRIBED
 
 
 def one_move(rig, target=1.0, pauses=(0.0, 0.0, 0.0), after_enable=None):
@@ -184,3 +188,111 @@ def test_recording_of_a_replay_can_be_replayed(tmp_path):
         assert unanswered(rig) == []
         assert sum(one.matched for one in players(rig).values()) > 20
     assert traffic(first) == traffic(second)
+
+
+# ---- drives with a protocol of their own
+
+
+@pytest.mark.parametrize("pauses", [(0.0, 0.0371, 0.0), (0.4, 0.0, 0.0)])
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_slower_host_of_another_kind_is_answered_completely(name, pauses):
+    with golden(name) as path, Rig(with_recorded(described(name), path)) as rig:
+        position = one_move(rig, pauses=pauses)
+        assert unanswered(rig) == []
+        assert position == pytest.approx(1.0, abs=0.002)  # reached by the recorded drive
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_other_target_of_another_kind_is_reported_with_the_expected_command(name):
+    with golden(name) as path, Rig(with_recorded(described(name), path)) as rig:
+        with pytest.raises(MotorError):
+            one_move(rig, target=1.1)
+        first = unanswered(rig)[0]
+    assert first.controller == "left"
+    came, expected = str(first.mismatch).split("; expected, as at ")
+    words = {"mit": "Command: p = ", "robstride": "Motion: p = ", "vesc": "SET_POS: position = "}
+    words |= {"rmd": "absolute position: ", "moteus": "Query: mode = position, position command = "}
+    assert words[name] in came
+    assert words[name] in expected
+
+
+@pytest.mark.parametrize("set_points", ["exact", "any"])
+@pytest.mark.parametrize("name", [name for name in DESCRIBED if name != "moteus"])
+def test_other_set_points_of_another_kind_pass_only_with_any(name, set_points):
+    """The target is half a milliradian further, within the recorded position window."""
+    with golden(name) as path, Rig(with_recorded(described(name), path, set_points)) as rig:
+        with suppress(MotorError):
+            one_move(rig, target=1.0005)
+        assert bool(unanswered(rig)) == (set_points == "exact")
+
+
+def test_idle_vesc_keeps_the_period_of_its_status():
+    with golden("vesc") as path, Rig(with_recorded(described("vesc"), path)) as rig:
+        one_move(rig)
+        heard = []
+        rig.runtime.listen(rig.bus("can0"), lambda *one: heard.append(one))
+        rig.runtime.run_for(5.0)
+        stati = [time_ns for frame, time_ns, _ in heard if frame[:4] == b"\x01\x09\0\x80"]
+    assert 499 <= len(stati) <= 501
+
+
+def test_request_that_is_not_in_the_recording_is_not_answered():
+    with golden("rmd") as path, Rig(with_recorded(described("rmd"), path)) as rig:
+        one_move(rig)
+        heard, events = [], []
+        rig.world.tap_events(lambda _, level, name, text: events.append((level, name, text)))
+        rig.runtime.listen(rig.bus("can0"), lambda *one: heard.append(one))
+        rig.runtime.send(rig.bus("can0"), classic(0x141, b"\xb1" + bytes(7)))
+        rig.runtime.run_for(0.002)
+        (first,) = unanswered(rig)
+    assert "run time" in str(first)
+    assert [(level, name, "run time" in text) for level, name, text in events] == [
+        ("error", "left", True)
+    ]
+    assert not any(frame[8] == 0xB1 and not own for frame, _, own in heard)
+
+
+def test_poll_between_other_commands_gets_the_nearest_answer():
+    """The recorded host asked for the fault every 50 ms, between set-points every 5 ms."""
+    with golden("vesc") as path, Rig(with_recorded(described("vesc"), path)) as rig:
+        left = rig.motors["left"]
+        left.set_control_mode(ControlMode.SETPOINT)
+        left.set_setpoint(1.0)
+        left.start()
+        for _ in range(20):
+            rig.runtime.run_for(0.0123)
+            assert left.hardware.read_fault() == 0
+        assert unanswered(rig) == []
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_recording_of_a_replay_of_another_kind_can_be_replayed(name, tmp_path):
+    second, run = tmp_path / "second.mcap", GOLDEN[name][2]
+    with golden(name) as path:
+        with Rig(with_recorded(described(name), path), record=second) as rig:
+            run(rig)
+        with Rig.open(second) as rig:
+            run(rig)
+            assert unanswered(rig) == []
+            assert sum(one.matched for one in players(rig).values()) > 200
+
+
+@pytest.mark.parametrize("name", ["moteus", "rmd", "robstride", "vesc"])
+def test_polls_of_another_kind_that_never_came_are_not_missed(name):
+    with golden(name) as path, Rig(with_recorded(described(name), path)) as rig:
+        one_move(rig)
+        missed = [step for _, step in never_came(rig)]
+    assert len(missed) > 20
+    reads = ("multi-turn", "status", "FW_VERSION", "GET_VALUES", "ALIVE", "Query: read", "Read")
+    assert not any(word in step.text for step in missed for word in reads)
+
+
+def test_any_set_point_ignores_the_torque_in_an_identifier_of_a_robstride():
+    keys = set()
+    for number in (0x01_8000_01, 0x01_9234_01, 0x01_9234_02):
+        frame = (number | EFF).to_bytes(4, "little") + b"\x08\0\0\0" + bytes((0x80, 0)) * 4
+        decode, read = readers_of("robstride", number & 0xFF, {"model": "rs01"})
+        told = read(frame, decode(frame))
+        keys.add(drive_key(frame, told, any_set_point=True))
+        assert drive_key(frame, told, any_set_point=False)[2] == frame[8:]
+    assert len(keys) == 2  # by motor

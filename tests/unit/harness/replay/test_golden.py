@@ -5,10 +5,12 @@ import shutil
 import pytest
 
 from motorhil.harness.cli.main import main
-from motorhil.harness.replay.host import DrivenRig, compared, drive
+from motorhil.harness.replay.host import DrivenRig, bench_of, compared, drive
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import never_came, summary, unanswered
-from motorhil.harness.rig.rig import Rig
+from motorhil.harness.rig.config.rig_file import parse_rig
+from motorhil.harness.rig.config.toml import Source
+from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.traces.digest import digest
 from motorhil.traces.schema import decode_can_frame
 from motorhil.traces.semantics.diff import Tolerance
@@ -16,7 +18,9 @@ from tests.support.golden import GOLDEN, INDEX, described, golden, record, rows
 from tests.support.recordings.altered import traffic
 
 FRAMES_ONLY = ("dynamixel", "mit", "moteus", "rmd", "robstride", "vesc")
-"""Recordings without CANopen or Modbus, which device and host are replayed by."""
+"""Recordings without CANopen or Modbus."""
+DESCRIBED = tuple(name for name in FRAMES_ONLY if name != "dynamixel")
+"""Those of CAN buses, which are replayed as the others; a serial line is not."""
 
 
 @pytest.fixture(params=GOLDEN)
@@ -26,6 +30,11 @@ def name(request):
 
 @pytest.fixture(params=[name for name in GOLDEN if name not in FRAMES_ONLY])
 def known(request):
+    return request.param
+
+
+@pytest.fixture(params=[name for name in GOLDEN if name not in FRAMES_ONLY or name in DESCRIBED])
+def answered(request):
     return request.param
 
 
@@ -39,12 +48,12 @@ def test_index_equals_generated_rows():
     assert INDEX.read_text() == "\n".join(rows()) + "\n", "make golden"
 
 
-def test_as_device_traffic_equals_the_recording(known, tmp_path):
+def test_as_device_traffic_equals_the_recording(answered, tmp_path):
     """The drives are recorded and the host is live; times agree to the nanosecond."""
-    with golden(known) as path:
+    with golden(answered) as path:
         again = tmp_path / "again.mcap"
-        with Rig(with_recorded(described(known), path), record=again) as rig:
-            GOLDEN[known][2](rig)
+        with Rig(with_recorded(described(answered), path), record=again) as rig:
+            GOLDEN[answered][2](rig)
             assert unanswered(rig) == []
             assert never_came(rig) == []
             (line,) = summary(rig)
@@ -52,7 +61,7 @@ def test_as_device_traffic_equals_the_recording(known, tmp_path):
         assert traffic(again) == traffic(path)
 
 
-@pytest.mark.parametrize("name", FRAMES_ONLY)
+@pytest.mark.parametrize("name", ["dynamixel"])
 def test_as_device_refuses_kinds_with_a_protocol_of_their_own(name, tmp_path, capsys):
     script = tmp_path / "app.py"
     script.write_text("raise AssertionError('it ran')\n")
@@ -64,11 +73,11 @@ def test_as_device_refuses_kinds_with_a_protocol_of_their_own(name, tmp_path, ca
     assert "--as host" in told
 
 
-def test_recording_opened_as_rig_answers_completely(known, tmp_path):
-    with golden(known) as path:
+def test_recording_opened_as_rig_answers_completely(answered, tmp_path):
+    with golden(answered) as path:
         moved = shutil.copy(path, tmp_path / "bench.mcap")
         with Rig.open(moved) as rig:
-            GOLDEN[known][2](rig)
+            GOLDEN[answered][2](rig)
             assert unanswered(rig) == []
 
 
@@ -86,6 +95,42 @@ def test_as_host_objects_agree_with_the_recording(known, tmp_path):
         assert differing == []
         assert objects
         assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+
+
+def replayed(name, path, live, more=""):
+    """Replay the host on the recording's rig with more text; return objects and differences."""
+    text = GOLDEN[name][1] + more
+    rig_file = Source(path.parent / "rig.toml", text)
+    with Rig(parse_rig(rig_file, installed_plugins()), record=live) as rig:
+        bench = bench_of(rig.description)
+        done = drive(DrivenRig(rig), path, bench=bench)
+    assert done.notes == []
+    return compared(path, live, done.player.pairs, Tolerance(), done.reading)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_as_host_messages_of_other_kinds_agree_with_the_recording(name, tmp_path):
+    with golden(name) as path:
+        objects, differing = replayed(name, path, tmp_path / "live.mcap")
+    assert differing == []
+    assert {one.label: one.share for one in objects if one.share < 1.0} == {}
+    labels = [one.label for one in objects if one.is_compared and one.worst is not None]
+    assert sum("left" in label for label in labels) >= 1  # its position
+    assert sum("right" in label for label in labels) >= 1
+    assert sum(one.of for one in objects) > 400
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_as_host_load_on_a_drive_of_another_kind_is_a_difference(name, tmp_path):
+    """The left motor is turned away by a load of which the recording has nothing."""
+    load = '[[stimulus]]\ncontroller = "left"\nname = "load_torque_n_m"\nvalue = 40.0\nat_s = 0.8\n'
+    with golden(name) as path:
+        _, differing = replayed(name, path, tmp_path / "live.mcap", load)
+    assert any(
+        "[rad]" in one.label or "[deg]" in one.label or "[rev]" in one.label for one in differing
+    )
+    assert all("node 1 (left)" in one.label for one in differing)
+    assert all(one.time_ns > 790_000_000 for one in differing)
 
 
 def test_as_traffic_frames_keep_order_and_times(name, tmp_path, capsys):

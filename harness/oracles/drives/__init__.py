@@ -1,0 +1,1 @@
+"""Oracles of drives with a protocol of their own: MIT, RobStride, RMD, moteus, VESC, Dynamixel."""

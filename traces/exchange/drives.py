@@ -1,0 +1,161 @@
+"""Exchange log of a recorded drive with a protocol of its own, on a CAN bus.
+
+A request that only reads is a poll, any other frame to the drive a command. An answer belongs to
+the newest request of its kind. Other frames of the drive, such as the status frames of a VESC,
+belong to the command before them, and may be periodic.
+
+Source: as of `motorhil.traces.exchange.drive_kinds`.
+"""
+
+from bisect import bisect_right
+from typing import Final, final
+
+from motorhil.traces.can_frame import EFF, ERR
+from motorhil.traces.exchange.drive_kinds import Decode, Read, Told
+from motorhil.traces.exchange.steps import (
+    START,
+    ExchangeLog,
+    Key,
+    Role,
+    Sent,
+    Step,
+    Turn,
+    period_ns,
+)
+
+_OPEN_MAX: Final = 64
+
+
+def drive_key(frame: bytes, told: Told, any_set_point: bool) -> Key:
+    """Return the key of a frame to a drive: its identifier and content.
+
+    Args:
+        frame: a can_frame or canfd_frame.
+        told: what it means.
+        any_set_point: True to ignore the content of motions.
+    """
+    identifier = int.from_bytes(frame[:4], "little")
+    data = b"" if any_set_point and told.moves else frame[8 : 8 + frame[4]]
+    if any_set_point and told.moves and identifier & EFF:
+        identifier &= ~0xFFFF00  # RobStride has the torque there
+    return ("drive", identifier, data)
+
+
+def role_of(told: Told) -> Role:
+    """Return POLL for a request that only reads, else COMMAND."""
+    return Role.POLL if told.reads else Role.COMMAND
+
+
+@final
+class DriveExchanges:
+    """The exchange log of one drive, from the frames of its bus.
+
+    Attributes:
+        log: the log so far.
+        has_sent: True if the drive has sent anything.
+    """
+
+    def __init__(
+        self,
+        place: tuple[str, int],
+        name: str,
+        readers: tuple[Decode, Read],
+        begin_ns: int,
+        any_set_point: bool = False,
+    ) -> None:
+        """Start before the first frame.
+
+        Args:
+            place: bus and node.
+            name: the controller's, which is that of a sender.
+            readers: as of `readers_of`.
+            begin_ns: when the recording begins [ns].
+            any_set_point: True to ignore the content of motions.
+        """
+        bus, node = place
+        self._name = name
+        self._decode, self._read = readers
+        self._any_set_point = any_set_point
+        self.log: Final = ExchangeLog(bus, node)
+        self._command = Step(Role.COMMAND, START, begin_ns, "the recording begins")
+        self.log.steps.append(self._command)
+        self.has_sent: bool = False
+        self._open: dict[str, list[Step]] = {}
+        self._times_ns: dict[int, list[int]] = {}
+
+    def take(self, time_ns: int, frame: bytes, sender: str) -> bool:
+        """Take a frame that was complete at `time_ns`; return True if it concerns the drive."""
+        if int.from_bytes(frame[:4], "little") & ERR:
+            return False
+        message = self._decode(frame)
+        if message is None and sender and sender == self._name:  # a part of a longer answer
+            self._part(time_ns, frame)
+            return True
+        if message is None:
+            return False
+        told = self._read(frame, message)
+        if told.is_own:
+            self._sent(time_ns, frame, told, str(message))
+            return True
+        key = drive_key(frame, told, self._any_set_point)
+        step = Step(role_of(told), key, time_ns, str(message), [Turn(frame)])
+        self.log.steps.append(step)
+        if step.role is Role.COMMAND:
+            self._command = step
+        asked = told.asks or told.may_ask
+        if asked:
+            waiting = self._open.setdefault(asked, [])
+            waiting.append(step)
+            del waiting[:-_OPEN_MAX]
+        return True
+
+    def finished(self) -> ExchangeLog:
+        """Return the log, with the periods of frames that the drive sends by itself."""
+        for identifier, times in self._times_ns.items():
+            found = period_ns(times)
+            if found is not None:
+                self.log.periods_ns[identifier] = found
+        for step in self.log.steps:
+            step.reactions = [self._marked(step, one) for one in step.reactions]
+        return self.log
+
+    def _sent(self, time_ns: int, frame: bytes, told: Told, text: str) -> None:
+        self.has_sent = True
+        waiting = self._open.get(told.answers)
+        if told.answers and waiting:
+            step = waiting.pop()
+            step.turns[0].answers.append(Sent(time_ns - step.time_ns, frame))
+            step.answer_text = text
+            return
+        self._by_itself(time_ns, frame)
+
+    def _part(self, time_ns: int, frame: bytes) -> None:
+        """Add a frame without a meaning of its own to the newest open request, if there is one."""
+        self.has_sent = True
+        waiting = [steps[-1] for steps in self._open.values() if steps]
+        if waiting:
+            step = max(waiting, key=_time_of)
+            step.turns[0].answers.append(Sent(time_ns - step.time_ns, frame))
+        else:
+            self._by_itself(time_ns, frame)
+
+    def _by_itself(self, time_ns: int, frame: bytes) -> None:
+        identifier = int.from_bytes(frame[:4], "little")
+        self._times_ns.setdefault(identifier, []).append(time_ns)
+        self._command.reactions.append(Sent(time_ns - self._command.time_ns, frame))
+
+    def _marked(self, step: Step, one: Sent) -> Sent:
+        """Return a frame, marked if the next of its kind followed a period later."""
+        identifier = int.from_bytes(one.data[:4], "little")
+        period = self.log.periods_ns.get(identifier)
+        if period is None:
+            return one
+        times, now_ns = self._times_ns[identifier], step.time_ns + one.delay_ns
+        behind = bisect_right(times, now_ns)
+        # After the last frame the interval before it is assumed.
+        next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
+        return one._replace(goes_on=4 * (next_ns - now_ns) <= 5 * period)
+
+
+def _time_of(step: Step) -> int:
+    return step.time_ns
