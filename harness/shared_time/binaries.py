@@ -63,7 +63,7 @@ def preload(word: str, folder: Path, environment: Mapping[str, str]) -> str:
         BinaryError: it cannot have the rig's time, or the library cannot be built.
     """
     found = shutil.which(word, path=environment.get("PATH")) if "/" not in word else folder / word
-    if found is None or not Path(found).is_file():
+    if found is None or not Path(found).is_file() or _is_python(Path(word)):
         return ""
     for path in _interpreters(Path(found)):
         if _is_python(path):

@@ -209,7 +209,7 @@ bool in_rig(void)
     static bool is_told;
     if (rig.state == CHILD && !is_told) {
         is_told = true;
-        tell("a forked child of program '%s' (pid %d) has the time of the wall", rig.name, getpid());
+        tell("a forked child of program '%s' has the time of the wall", rig.name);
     }
     return (rig.state == AWAITING || rig.state == JOINED) && (!thread_here || !thread_here->has_finished);
 }
