@@ -125,6 +125,8 @@ class SharedClock:
             found = self._accept(missing)
             if found is not None:
                 joined[found.name] = found
+        self._listener.close()
+        self.path.chmod(0o400)  # tells a second process of a program that it is too late
         self._programs = [joined[name] for name in names]
         for program in self._programs:
             program.begin()

@@ -53,7 +53,11 @@ static int port_count;
 static struct can_socket *can_of(int fd)
 {
     struct descriptor *descriptor = descriptor_of(fd);
-    return descriptor && descriptor->kind == CAN ? (struct can_socket *)descriptor : NULL;
+    if (!descriptor || descriptor->kind != CAN) return NULL;
+    if (rig.state == CHILD)
+        refuse("a forked child of program '%s' uses its CAN socket; expected a child that opens none;"
+               " let the program stay in the foreground", rig.name);
+    return (struct can_socket *)descriptor;
 }
 
 bool is_can(int fd)
@@ -259,10 +263,7 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     struct can_socket *socket = can_of(fd);
     struct heard heard;
     size_t done = 0, used = 0;
-    if (!socket) {
-        if (rig.state == JOINED && thread_here && is_blocking(fd, flags)) wait_for_input(fd, NEVER);
-        return REAL(recvmsg)(fd, message, flags);
-    }
+    if (!socket) return await_input(fd, flags) ? charged(REAL(recvmsg)(fd, message, flags)) : -1;
     ssize_t size = take(fd, socket, &heard, flags);
     if (size < 0) return -1;
     for (size_t i = 0; i < message->msg_iovlen && done < (size_t)size; i++) {

@@ -86,6 +86,7 @@ struct bus {
 /* The only shared state of the library, beside the tables of descriptors.c and can.c. */
 struct rig {
     enum state state;
+    bool has_begun; /* the environment has been read */
     pid_t pid;
     int fd;
     int64_t now_ns;
@@ -105,6 +106,7 @@ void *real_function(const char *name);
 void tell(const char *text, ...) PRINTF(1);
 _Noreturn void refuse(const char *text, ...) PRINTF(1);
 bool in_rig(void);
+void require_open_rig(void);
 void join_rig(void);
 void leave_rig(void);
 void send_record(const void *record, size_t size);
@@ -143,6 +145,8 @@ void keep(int fd, struct descriptor *descriptor);
 int set_apart(int fd);
 bool is_blocking(int fd, int flags);
 enum result wait_for_input(int fd, int64_t deadline_ns);
+bool await_input(int fd, int flags);
+ssize_t charged(ssize_t result);
 void expire_timer(uint32_t number);
 
 /* can.c */

@@ -36,6 +36,7 @@ int64_t look(void)
 {
     struct thread *me = thread_here;
     int step_ns = bills < SPIN_BILLS ? LOOK_NS : SPIN_LOOK_NS;
+    if (rig.state == AWAITING) require_open_rig();
     if (!me || me->waits) return rig.now_ns; /* of a signal handler */
     ahead_ns = (ahead_ns > rig.now_ns ? ahead_ns : rig.now_ns) + step_ns;
     if (me->looked_ns != rig.now_ns) {

@@ -15,6 +15,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/un.h>
 #include <unistd.h>
@@ -153,11 +154,22 @@ static void read_buses(const char *text)
     }
 }
 
+/* Refuse a second process of the program: the rig has begun, and its socket is not writable. */
+void require_open_rig(void)
+{
+    struct stat door;
+    if (rig.state == AWAITING && !stat(rig.path, &door) && door.st_mode & S_IWUSR) return;
+    rig.state = LEFT;
+    refuse("program '%s' has joined the rig already, in another process; expected one process; write"
+           " exec before the command in a script", rig.name);
+}
+
 void join_rig(void)
 {
     struct sockaddr_un address = {.sun_family = AF_UNIX};
     struct timeval limit = {.tv_sec = WELCOME_S}, none = {0};
     uint8_t record[RECORD_MAX];
+    require_open_rig();
     rig.state = JOINED;
     rig.pid = getpid();
     unsetenv("MOTORHIL_CLOCK"); /* a child is another program */
@@ -176,8 +188,7 @@ void join_rig(void)
         rig.state = LEFT;
         if (size > 0 && record[0] == RECORD_REFUSED)
             refuse("program '%s': refused by the rig: %s", rig.name, (char *)record + 1);
-        refuse("program '%s' has joined the rig already, in another process; expected one process;"
-               " write exec before the command in a script", rig.name);
+        require_open_rig();
     }
     REAL(setsockopt)(rig.fd, SOL_SOCKET, SO_RCVTIMEO, &none, sizeof none);
     rig.now_ns = welcome->now_ns;
@@ -203,10 +214,13 @@ static void become_child(void)
     REAL(close)(rig.fd);
 }
 
+static void begin(void);
+
 /* Return whether the caller has the rig's time. */
 bool in_rig(void)
 {
     static bool is_told;
+    if (!rig.has_begun) begin();
     if (rig.state == CHILD && !is_told) {
         is_told = true;
         tell("a forked child of program '%s' has the time of the wall", rig.name);
@@ -224,8 +238,11 @@ static bool is_python(void)
     return name && !strncmp(name + 1, "python", 6);
 }
 
+/* At the first call, since other libraries may begin before this one; but before main(). */
 __attribute__((constructor)) static void begin(void)
 {
+    if (rig.has_begun) return;
+    rig.has_begun = true;
     const char *channel = getenv("MOTORHIL_CLOCK");
     const char *name = channel ? strrchr(channel, '#') : NULL;
     thread_here = &first_thread;

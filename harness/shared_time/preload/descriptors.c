@@ -7,6 +7,7 @@
 #define _GNU_SOURCE
 #include "clock.h"
 
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
@@ -18,6 +19,7 @@
 #include <sys/ioctl.h>
 #include <sys/select.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/timerfd.h>
 #include <sys/uio.h>
 #include <unistd.h>
@@ -43,7 +45,7 @@ struct timer {
 
 static struct descriptor own = {.kind = OWN, .inner = -1};
 static struct descriptor *descriptors[DESCRIPTORS_MAX];
-static bool is_told[DESCRIPTORS_MAX]; /* sockets of the network, named once */
+static bool is_told[DESCRIPTORS_MAX]; /* examined, and named if the other end has another time */
 static struct timer *timers;
 static uint32_t next_period = 1;
 
@@ -79,6 +81,7 @@ static void cancel_timer(struct timer *timer);
 static void release(int fd)
 {
     struct descriptor *descriptor = descriptor_of(fd);
+    if (fd >= 0 && fd < DESCRIPTORS_MAX) is_told[fd] = false;
     if (!descriptor || getpid() != rig.pid) return; /* a child by vfork shares the table */
     descriptors[fd] = NULL;
     if (--descriptor->references) return;
@@ -167,17 +170,50 @@ bool is_blocking(int fd, int flags)
     return !(flags & MSG_DONTWAIT) && !(REAL(fcntl)(fd, F_GETFL) & O_NONBLOCK);
 }
 
-/* Tell once of a socket whose peer has the time of the wall. */
+/* Return whether a pipe has its other end in this process. */
+static bool is_inner_pipe(int fd, const struct stat *pipe)
+{
+    struct dirent *entry;
+    struct stat other;
+    bool is_inner = false;
+    int way = REAL(fcntl)(fd, F_GETFL) & O_ACCMODE;
+    DIR *folder = opendir("/proc/self/fd");
+    if (!folder) return true;
+    while (!is_inner && (entry = readdir(folder))) {
+        int number = atoi(entry->d_name);
+        if (number == fd || fstat(number, &other) < 0) continue;
+        if (other.st_dev != pipe->st_dev || other.st_ino != pipe->st_ino) continue;
+        is_inner = (REAL(fcntl)(number, F_GETFL) & O_ACCMODE) != way;
+    }
+    closedir(folder);
+    return is_inner;
+}
+
+/* Return the name of something whose other end has the time of the wall; NULL for all else. */
+static const char *outsider(int fd)
+{
+    struct stat file;
+    struct ucred peer;
+    int domain = 0;
+    socklen_t size = sizeof domain, peer_size = sizeof peer;
+    if (fstat(fd, &file) < 0) return NULL;
+    if (S_ISFIFO(file.st_mode)) return is_inner_pipe(fd, &file) ? NULL : "pipe of another process";
+    if (!S_ISSOCK(file.st_mode)) return NULL;
+    if (REAL(getsockopt)(fd, SOL_SOCKET, SO_DOMAIN, &domain, &size) < 0) return NULL;
+    if (domain != AF_UNIX) return "socket of the network";
+    if (REAL(getsockopt)(fd, SOL_SOCKET, SO_PEERCRED, &peer, &peer_size) < 0) return NULL;
+    return peer.pid > 0 && peer.pid != getpid() ? "socket of another process" : NULL;
+}
+
+/* Tell once of a descriptor whose other end has the time of the wall. */
 static void look_at(int fd)
 {
-    int domain = 0;
-    socklen_t size = sizeof domain;
-    if (fd < 0 || fd >= DESCRIPTORS_MAX || is_told[fd]) return;
-    if (REAL(getsockopt)(fd, SOL_SOCKET, SO_DOMAIN, &domain, &size) < 0) return;
-    if (domain == AF_UNIX) return;
+    if (fd < 0 || fd >= DESCRIPTORS_MAX || is_told[fd] || descriptors[fd]) return;
     is_told[fd] = true;
-    tell("program '%s': descriptor %d is a socket of the network, where the time is the wall's; the"
-         " rig's time does not wait for it", rig.name, fd);
+    const char *what = outsider(fd);
+    if (what)
+        tell("program '%s' waits for descriptor %d, a %s, which has the time of the wall; the rig's"
+             " time does not wait for it", rig.name, fd, what);
 }
 
 struct polled { struct pollfd *fds; nfds_t count; };
@@ -350,7 +386,7 @@ EXPORT int epoll_ctl(int epoll, int operation, int fd, struct epoll_event *event
 
 /* Wait before a call that would block; only after joining, since a shell that reads from its
  * children does not join. Return false with errno if the wait was interrupted. */
-static bool await_input(int fd, int flags)
+bool await_input(int fd, int flags)
 {
     struct pollfd input = {.fd = fd, .events = POLLIN};
     if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits) return true;
@@ -358,29 +394,38 @@ static bool await_input(int fd, int flags)
     return wait_for_input(fd, NEVER) != INTERRUPTED || interrupted() == 0;
 }
 
+/* Charge a call that has found nothing, as a look at a clock: a loop of such calls ends. */
+ssize_t charged(ssize_t result)
+{
+    if (result >= 0 || errno != EAGAIN || rig.state != JOINED || !in_rig()) return result;
+    look();
+    errno = EAGAIN;
+    return result;
+}
+
 EXPORT ssize_t read(int fd, void *data, size_t size)
 {
     if (is_can(fd)) return can_receive(fd, data, size, 0, NULL, NULL);
-    return await_input(fd, 0) ? REAL(read)(fd, data, size) : -1;
+    return await_input(fd, 0) ? charged(REAL(read)(fd, data, size)) : -1;
 }
 
 EXPORT ssize_t readv(int fd, const struct iovec *parts, int count)
 {
     if (is_can(fd)) refuse("program '%s': readv() of a CAN socket: not supported; expected read()", rig.name);
-    return await_input(fd, 0) ? REAL(readv)(fd, parts, count) : -1;
+    return await_input(fd, 0) ? charged(REAL(readv)(fd, parts, count)) : -1;
 }
 
 EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags, struct sockaddr *restrict address,
                         socklen_t *restrict address_size)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, address, address_size);
-    return await_input(fd, flags) ? REAL(recvfrom)(fd, data, size, flags, address, address_size) : -1;
+    return await_input(fd, flags) ? charged(REAL(recvfrom)(fd, data, size, flags, address, address_size)) : -1;
 }
 
 EXPORT ssize_t recv(int fd, void *data, size_t size, int flags)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, NULL, NULL);
-    return await_input(fd, flags) ? REAL(recv)(fd, data, size, flags) : -1;
+    return await_input(fd, flags) ? charged(REAL(recv)(fd, data, size, flags)) : -1;
 }
 
 EXPORT ssize_t __read_chk(int fd, void *data, size_t size, size_t space)
@@ -404,7 +449,7 @@ EXPORT ssize_t __recvfrom_chk(int fd, void *data, size_t size, size_t space, int
 
 EXPORT int accept4(int fd, struct sockaddr *address, socklen_t *size, int flags)
 {
-    return await_input(fd, 0) ? REAL(accept4)(fd, address, size, flags) : -1;
+    return await_input(fd, 0) ? charged(REAL(accept4)(fd, address, size, flags)) : -1;
 }
 
 EXPORT int accept(int fd, struct sockaddr *restrict address, socklen_t *restrict size)

@@ -2,6 +2,7 @@
 #define _GNU_SOURCE
 #include <linux/can.h>
 #include <linux/can/bcm.h>
+#include <poll.h>
 #include <pthread.h>
 #include <sched.h>
 #include <signal.h>
@@ -149,6 +150,24 @@ int main(int words, char **argument)
         }
         wait(NULL);
         sleep(1);
+    } else if (!strcmp(act, "fork-can")) {
+        int fd = socket(PF_CAN, SOCK_RAW, CAN_RAW), status = 0;
+        if (!fork()) {
+            if (read(fd, &status, sizeof status) < 0) perror("read");
+            _exit(0);
+        }
+        wait(&status);
+        printf("child: %d\n", WEXITSTATUS(status));
+    } else if (!strcmp(act, "popen")) {
+        sleep(1);
+        FILE *child = popen("sleep 0.05; echo hello", "r");
+        struct pollfd input = {.fd = fileno(child), .events = POLLIN};
+        printf("poll: %d\n", poll(&input, 1, 1000));
+        pclose(child);
+    } else if (!strcmp(act, "no-sender")) {
+        int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK, CAN_RAW);
+        while (now_s() < 1 && read(fd, threads, sizeof threads) < 0) continue;
+        while (count++ < 1000000 && read(fd, threads, sizeof threads) < 0) continue;
     } else if (!strcmp(act, "exec")) {
         sleep(1);
         execlp("true", "true", NULL);

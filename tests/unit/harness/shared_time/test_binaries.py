@@ -33,6 +33,10 @@ bus = "can0"
 node_id = 1
 plant = { preset = "wheel_60w" }
 """
+SLEPT = [  # each look at a clock takes 1 us
+    "a: 100000.000001000 0.000002 0",
+    "a: 103600.000005000 3600.000006 3600",
+]
 # CiA 301, SDO upload of 1000h: expedited answer of four bytes (43h), device type 20192h: device
 # profile 402 (192h), servo drive (2).
 QUESTION = "40 00 10 00 00 00 00 00"
@@ -66,10 +70,7 @@ def test_c_program_sleeps_an_hour_at_once(run, tmp_path):
     program = compiled("sleeper", tmp_path)
     lines, wrong, _ = run(a=[program])
     assert wrong == {}
-    assert lines == [  # each look at a clock takes 1 us
-        "a: 100000.000001000 0.000002 0",
-        "a: 103600.000005000 3600.000006 3600",
-    ]
+    assert lines == SLEPT
 
 
 def test_c_program_has_answer_of_drive_by_sdo_twice_the_same(run, tmp_path):
@@ -208,6 +209,9 @@ UNSUPPORTED = "not supported in the rig's time; expected"
         ("close-all-raw", "exit status 3", ["the rig has ended", "has left the rig"]),
         ("handler", "exit status 3", ["'a' waits in a signal handler"]),
         ("fork", None, ["a forked child of program 'a' has the time of the wall", "0 at 2 s"]),
+        ("fork-can", None, ["a forked child of program 'a' uses its CAN socket", "child: 3"]),
+        ("popen", None, ["a pipe of another process, which has the time of the wall", "poll: 0"]),
+        ("no-sender", None, ["1000001 at 11 s"]),
         ("exec", "its connection has ended", ["has left the rig"]),
         ("leave-at-once", "its connection has ended", ["has left the rig"]),
         ("bcm", None, ["CAN_BCM (2): not supported", "Protocol not supported", "0 at 1 s"]),
@@ -229,6 +233,14 @@ def test_unsupported_call_before_joining_ends_the_run(run, tmp_path, act, told):
     with pytest.raises(RigError, match="program a: ended before it joined"):
         run(a=[compiled("hostile", tmp_path), act], lines=lines)
     assert told in lines[0]
+
+
+def test_second_process_of_program_is_told_and_fails(run, tmp_path):
+    sleeper = compiled("sleeper", tmp_path)
+    lines, wrong, _ = run(a=["sh", "-c", f"{sleeper}; {sleeper}"])
+    assert wrong == {"a": "exit status 3"}
+    assert lines[:2] == SLEPT
+    assert "has joined the rig already, in another process; expected one process" in lines[2]
 
 
 def test_deadlock_of_threads_names_them(run, tmp_path):
