@@ -148,6 +148,21 @@ def test_10000_random_waits_end_in_order_of_model(run, tmp_path):
     require_model(run, tmp_path, 10_000)
 
 
+def test_threads_that_wait_for_one_thing_have_it_in_order_of_waits(run, tmp_path):
+    lines, wrong, _ = run(a=[compiled("queues", tmp_path)])
+    assert wrong == {}
+    assert lines == [
+        "a: cond: 2, 1, 0,",
+        "a: semaphore: 2, 1, 0,",
+        "a: futex: 1, 0,, 2",  # the third waits for another bit
+        "a: mutex:,,, 2 1 0",
+        "a: rwlock:,,, 2 1 0",
+        "a: eventfd: 2, 1, 0,",
+        "a: 1 1 cancelled 1",
+        "a: 1 4 s",
+    ]
+
+
 def test_waits_of_cpp_library_end_in_virtual_time(run, tmp_path):
     lines, wrong, _ = run(a=[compiled("cpp_waits", tmp_path)])
     assert wrong == {}
