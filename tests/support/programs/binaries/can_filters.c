@@ -35,5 +35,6 @@ int main(int words, char **word)
     }
     while (recv(hearer, &frame, sizeof frame, MSG_DONTWAIT) == sizeof frame) printf(" %X", frame.can_id);
     printf("\n");
+    if (recv(sender, &frame, sizeof frame, MSG_DONTWAIT) >= 0) return 7; /* no own frames by default */
     return 0;
 }

@@ -14,6 +14,7 @@ from motorhil.harness.shared_time import binaries
 from motorhil.harness.shared_time.programs import run_programs
 from motorhil.motorapi.errors import UsageError
 from motorhil.traces.digest import digest
+from tests.support.checkout import CHECKOUT
 from tests.support.programs.c_programs import compiled, needs_compiler
 
 pytestmark = [pytest.mark.wall, needs_compiler]
@@ -179,6 +180,16 @@ def test_event_loop_with_timer_and_can_sockets_twice_the_same(run, tmp_path):
     ]  # a message has left the bus less than 1 ms after the timer
     assert lines == [*frames[0], *frames[1], "a: next in 10 ms", *frames[2]]
     assert runs[1] == runs[0]
+
+
+@needs_can_utils
+def test_rig_of_how_to_prints_its_answer(run):
+    page = (CHECKOUT / "docs" / "how-to" / "run-several-programs.md").read_text()
+    binaries_of_page = page.partition("\n## Binaries\n")[2]
+    rig, answer = (binaries_of_page.partition(f"```{kind}\n")[2] for kind in ("toml", "text"))
+    lines, wrong, _ = run(rig.partition("```")[0])
+    assert wrong == {}
+    assert "\n".join(lines) == answer.partition("\n```")[0]
 
 
 SENT = ["100", "101", "103", "80000103", "40000100"]
