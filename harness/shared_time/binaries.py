@@ -21,7 +21,7 @@ SOURCES: Final = Path(__file__).parent / "preload"
 _PACKAGE: Final = Path(__file__).parents[2]
 _FLAGS: Final = (
     *("-shared", "-fPIC", "-O2", "-std=gnu11", "-fvisibility=hidden"),
-    *("-Wall", "-Wextra", "-Werror", "-Wno-unknown-warning-option"),
+    *("-Wall", "-Wextra", "-Werror"),
 )
 _BUILD_S: Final = 120.0
 _ELF: Final = b"\x7fELF"

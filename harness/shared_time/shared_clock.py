@@ -120,7 +120,8 @@ class SharedClock:
                 why = "ended before it joined" if dead else f"did not join within {JOIN_S:g} s"
                 raise JoinError(
                     f"program {who}: {why}; expected one that joins the rig's time: a Python"
-                    " program, or one that calls motorhil.join(); joins = false lets it run beside"
+                    " program, a binary that waits, or one that calls motorhil.join();"
+                    " joins = false lets it run beside"
                 )
             found = self._accept(missing)
             if found is not None:

@@ -24,7 +24,11 @@
 enum { RECORD_OPEN = 17, RECORD_CLOSE, RECORD_SEND, RECORD_OPENED = 34 };
 enum { PORTS_MAX = 256, FILTERS_MAX = 512, FIRST_INDEX = 101, ALL_BUSES = 0 };
 
-struct __attribute__((packed)) ported { uint8_t kind; uint16_t port; uint8_t data[CANFD_MTU]; };
+struct __attribute__((packed)) ported {
+    uint8_t kind;
+    uint16_t port;
+    uint8_t data[CANFD_MTU];
+};
 
 /* A frame in the pair of sockets. */
 struct heard {
@@ -47,7 +51,10 @@ struct can_socket {
     uint32_t lost;
 };
 
-static struct { struct can_socket *socket; int bus; } ports[PORTS_MAX]; /* by the rig's number */
+static struct {
+    struct can_socket *socket;
+    int bus;
+} ports[PORTS_MAX]; /* by the rig's number */
 static int port_count;
 
 static struct can_socket *can_of(int fd)
@@ -55,8 +62,10 @@ static struct can_socket *can_of(int fd)
     struct descriptor *descriptor = descriptor_of(fd);
     if (!descriptor || descriptor->kind != CAN) return NULL;
     if (rig.state == CHILD)
-        refuse("a forked child of program '%s' uses its CAN socket; expected a child that opens none;"
-               " let the program stay in the foreground", rig.name);
+        refuse(
+            "a forked child of program '%s' uses its CAN socket; expected a child that opens none;"
+            " let the program stay in the foreground",
+            rig.name);
     return (struct can_socket *)descriptor;
 }
 
@@ -117,20 +126,21 @@ int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known)
     case SIOCGIFMTU:
     case SIOCGIFFLAGS:
         if (!(bus = bus_at(index_of(query->ifr_name)))) return failed(ENODEV);
-        if (request == SIOCGIFMTU) query->ifr_mtu = bus->is_fd ? CANFD_MTU : CAN_MTU;
-        else query->ifr_flags = IFF_UP | IFF_RUNNING | IFF_NOARP;
+        if (request == SIOCGIFMTU)
+            query->ifr_mtu = bus->is_fd ? CANFD_MTU : CAN_MTU;
+        else
+            query->ifr_flags = IFF_UP | IFF_RUNNING | IFF_NOARP;
         return 0;
     case SIOCGSTAMP:
         if (!socket->stamp_ns) return failed(ENOENT);
-        *(struct timeval *)argument = (struct timeval){socket->stamp_ns / NS_PER_S, socket->stamp_ns % NS_PER_S / 1000};
+        *(struct timeval *)argument =
+            (struct timeval){socket->stamp_ns / NS_PER_S, socket->stamp_ns % NS_PER_S / 1000};
         return 0;
     case SIOCGSTAMPNS:
         if (!socket->stamp_ns) return failed(ENOENT);
         *(struct timespec *)argument = timespec_of(socket->stamp_ns);
         return 0;
-    default:
-        *is_known = false;
-        return 0;
+    default: *is_known = false; return 0;
     }
 }
 
@@ -193,7 +203,8 @@ static bool passes(const struct can_socket *socket, canid_t id)
     return socket->joins_filters ? matches == socket->filter_count : matches != 0;
 }
 
-void hear(unsigned port, int64_t time_ns, bool is_transmitted, bool is_error, const void *frame, size_t size)
+void hear(unsigned port, int64_t time_ns, bool is_transmitted, bool is_error, const void *frame,
+          size_t size)
 {
     struct can_socket *socket = port < PORTS_MAX ? ports[port].socket : NULL;
     struct heard heard = {.time_ns = time_ns};
@@ -206,7 +217,9 @@ void hear(unsigned port, int64_t time_ns, bool is_transmitted, bool is_error, co
     heard.index = FIRST_INDEX + ports[port].bus;
     heard.flags = is_transmitted ? MSG_DONTROUTE | MSG_CONFIRM : 0;
     memcpy(heard.frame, frame, size);
-    if (REAL(send)(socket->descriptor.inner, &heard, HEARD_HEAD + size, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) return;
+    if (REAL(send)(socket->descriptor.inner, &heard, HEARD_HEAD + size,
+                   MSG_DONTWAIT | MSG_NOSIGNAL) >= 0)
+        return;
     if (!socket->lost++)
         tell("program '%s': a socket on %s is full; frames are lost, as in the kernel", rig.name,
              rig.buses[ports[port].bus].name);
@@ -246,14 +259,16 @@ ssize_t can_receive(int fd, void *data, size_t size, int flags, void *address, v
     return (size_t)taken < size || flags & MSG_TRUNC ? taken : (ssize_t)size;
 }
 
-static void add_message(struct msghdr *message, size_t *used, int type, const void *data, size_t size)
+static void add_message(struct msghdr *message, size_t *used, int type, const void *data,
+                        size_t size)
 {
     if (*used + CMSG_SPACE(size) > message->msg_controllen) {
         message->msg_flags |= MSG_CTRUNC;
         return;
     }
     struct cmsghdr *head = (struct cmsghdr *)((char *)message->msg_control + *used);
-    *head = (struct cmsghdr){.cmsg_len = CMSG_LEN(size), .cmsg_level = SOL_SOCKET, .cmsg_type = type};
+    *head =
+        (struct cmsghdr){.cmsg_len = CMSG_LEN(size), .cmsg_level = SOL_SOCKET, .cmsg_type = type};
     memcpy(CMSG_DATA(head), data, size);
     *used += CMSG_SPACE(size);
 }
@@ -275,14 +290,16 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     message->msg_flags = heard.flags | (done < (size_t)size ? MSG_TRUNC : 0);
     if (message->msg_name) {
         struct sockaddr_can from = {.can_family = AF_CAN, .can_ifindex = heard.index};
-        memcpy(message->msg_name, &from, message->msg_namelen < sizeof from ? message->msg_namelen : sizeof from);
+        memcpy(message->msg_name, &from,
+               message->msg_namelen < sizeof from ? message->msg_namelen : sizeof from);
         message->msg_namelen = sizeof from;
     }
     struct timespec time = timespec_of(heard.time_ns);
     struct timeval time_us = {time.tv_sec, time.tv_nsec / 1000};
     if (socket->stamps_us) add_message(message, &used, SO_TIMESTAMP, &time_us, sizeof time_us);
     if (socket->stamps_ns) add_message(message, &used, SO_TIMESTAMPNS, &time, sizeof time);
-    if (socket->counts_lost && socket->lost) add_message(message, &used, SO_RXQ_OVFL, &socket->lost, sizeof socket->lost);
+    if (socket->counts_lost && socket->lost)
+        add_message(message, &used, SO_RXQ_OVFL, &socket->lost, sizeof socket->lost);
     message->msg_controllen = used;
     return done;
 }
@@ -295,12 +312,14 @@ ssize_t can_send(int fd, const void *data, size_t size, const void *address, siz
     const struct sockaddr_can *to = address;
     int index = socket->index;
     if (to) {
-        if (address_size < offsetof(struct sockaddr_can, can_addr) || to->can_family != AF_CAN) return failed(EINVAL);
+        if (address_size < offsetof(struct sockaddr_can, can_addr) || to->can_family != AF_CAN)
+            return failed(EINVAL);
         index = to->can_ifindex;
     }
     struct bus *bus = bus_at(index);
     if (!bus) return failed(ENXIO);
-    if (size != CAN_MTU && (size != CANFD_MTU || !socket->has_fd || !bus->is_fd)) return failed(EINVAL);
+    if (size != CAN_MTU && (size != CANFD_MTU || !socket->has_fd || !bus->is_fd))
+        return failed(EINVAL);
     int port = port_on(socket, index - FIRST_INDEX);
     if (port < 0) return -1;
     struct ported record = {.kind = RECORD_SEND, .port = port};
@@ -328,22 +347,26 @@ EXPORT ssize_t sendmsg(int fd, const struct msghdr *message, int flags)
 EXPORT int socket(int domain, int type, int protocol)
 {
     const int kind = type & ~(SOCK_NONBLOCK | SOCK_CLOEXEC);
-    const char *names[] = {"0", "CAN_RAW", "CAN_BCM", "TP16", "TP20", "MCNET", "CAN_ISOTP", "CAN_J1939"};
+    const char *names[] = {"0",    "CAN_RAW", "CAN_BCM",   "TP16",
+                           "TP20", "MCNET",   "CAN_ISOTP", "CAN_J1939"};
     int pair[2];
     if (!in_rig() || domain != PF_CAN) return REAL(socket)(domain, type, protocol);
     if (kind != SOCK_RAW || protocol != CAN_RAW) {
         bool is_named = protocol >= 0 && protocol < (int)(sizeof names / sizeof *names);
-        tell("program '%s': a socket of protocol %s (%d): not supported; expected CAN_RAW", rig.name,
-             is_named ? names[protocol] : "unknown", protocol);
+        tell("program '%s': a socket of protocol %s (%d): not supported; expected CAN_RAW",
+             rig.name, is_named ? names[protocol] : "unknown", protocol);
         return failed(EPROTONOSUPPORT);
     }
     if (rig.state == AWAITING) join_rig();
     struct can_socket *socket = calloc(1, sizeof *socket);
     struct can_filter *all = calloc(1, sizeof *all); /* mask 0: every frame */
-    if (!socket || !all || socketpair(AF_UNIX, SOCK_SEQPACKET | (type & ~SOCK_RAW), 0, pair) < 0) return -1;
+    if (!socket || !all || socketpair(AF_UNIX, SOCK_SEQPACKET | (type & ~SOCK_RAW), 0, pair) < 0)
+        return -1;
     *socket = (struct can_socket){
         .descriptor = {.kind = CAN, .inner = set_apart(pair[1])},
-        .has_loopback = true, .filters = all, .filter_count = 1,
+        .has_loopback = true,
+        .filters = all,
+        .filter_count = 1,
     };
     keep(pair[0], &socket->descriptor);
     return pair[0];
@@ -354,7 +377,8 @@ EXPORT int bind(int fd, const struct sockaddr *address, socklen_t size)
     struct can_socket *socket = can_of(fd);
     const struct sockaddr_can *own = (const struct sockaddr_can *)address;
     if (!socket) return REAL(bind)(fd, address, size);
-    if (size < offsetof(struct sockaddr_can, can_addr) || own->can_family != AF_CAN) return failed(EINVAL);
+    if (size < offsetof(struct sockaddr_can, can_addr) || own->can_family != AF_CAN)
+        return failed(EINVAL);
     if (own->can_ifindex != ALL_BUSES && !bus_at(own->can_ifindex)) return failed(ENODEV);
     close_ports(socket);
     socket->index = own->can_ifindex;
@@ -382,7 +406,8 @@ EXPORT int getsockname(int fd, struct sockaddr *restrict address, socklen_t *res
 
 static int set_filters(struct can_socket *socket, const void *value, socklen_t size)
 {
-    if (size % sizeof(struct can_filter) || size / sizeof(struct can_filter) > FILTERS_MAX) return failed(EINVAL);
+    if (size % sizeof(struct can_filter) || size / sizeof(struct can_filter) > FILTERS_MAX)
+        return failed(EINVAL);
     struct can_filter *filters = malloc(size + 1);
     if (!filters) return failed(ENOMEM);
     if (size) memcpy(filters, value, size);
@@ -392,7 +417,8 @@ static int set_filters(struct can_socket *socket, const void *value, socklen_t s
     return 0;
 }
 
-static int set_option(struct can_socket *socket, int level, int option, const void *value, socklen_t size)
+static int set_option(struct can_socket *socket, int level, int option, const void *value,
+                      socklen_t size)
 {
     int number = 0;
     if (level == SOL_CAN_RAW && option == CAN_RAW_FILTER) return set_filters(socket, value, size);
@@ -405,8 +431,10 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
         case CAN_RAW_JOIN_FILTERS: socket->joins_filters = number; return 0;
         case CAN_RAW_LOOPBACK:
             if (!number && socket->has_loopback)
-                tell("program '%s': CAN_RAW_LOOPBACK 0: not supported; other sockets on the bus hear"
-                     " the frames", rig.name);
+                tell(
+                    "program '%s': CAN_RAW_LOOPBACK 0: not supported; other sockets on the bus hear"
+                    " the frames",
+                    rig.name);
             socket->has_loopback = number;
             return 0;
         default: return failed(ENOPROTOOPT);
@@ -420,9 +448,14 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
             const struct timeval *limit = value;
             socket->timeout_ns = limit->tv_sec * (int64_t)NS_PER_S + limit->tv_usec * 1000;
             return 0;
-        case SO_RCVBUF: case SO_RCVBUFFORCE: /* the space of a pair is that of its sender */
+        case SO_RCVBUF:
+        case SO_RCVBUFFORCE: /* the space of a pair is that of its sender */
             return REAL(setsockopt)(socket->descriptor.inner, SOL_SOCKET, SO_SNDBUF, value, size);
-        case SO_SNDBUF: case SO_SNDBUFFORCE: case SO_SNDTIMEO: case SO_PRIORITY: case SO_REUSEADDR: return 0;
+        case SO_SNDBUF:
+        case SO_SNDBUFFORCE:
+        case SO_SNDTIMEO:
+        case SO_PRIORITY:
+        case SO_REUSEADDR: return 0;
         }
     return failed(ENOPROTOOPT);
 }
@@ -430,7 +463,8 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
 EXPORT int setsockopt(int fd, int level, int option, const void *value, socklen_t size)
 {
     struct can_socket *socket = can_of(fd);
-    return socket ? set_option(socket, level, option, value, size) : REAL(setsockopt)(fd, level, option, value, size);
+    return socket ? set_option(socket, level, option, value, size)
+                  : REAL(setsockopt)(fd, level, option, value, size);
 }
 
 EXPORT int getsockopt(int fd, int level, int option, void *restrict value, socklen_t *restrict size)
@@ -452,10 +486,14 @@ EXPORT int getsockopt(int fd, int level, int option, void *restrict value, sockl
         case CAN_RAW_LOOPBACK: number = socket->has_loopback; break;
         default: return failed(ENOPROTOOPT);
         }
-    else if (level == SOL_SOCKET && option == SO_DOMAIN) number = PF_CAN;
-    else if (level == SOL_SOCKET && option == SO_TYPE) number = SOCK_RAW;
-    else if (level == SOL_SOCKET && option == SO_PROTOCOL) number = CAN_RAW;
-    else return REAL(getsockopt)(fd, level, option, value, size);
+    else if (level == SOL_SOCKET && option == SO_DOMAIN)
+        number = PF_CAN;
+    else if (level == SOL_SOCKET && option == SO_TYPE)
+        number = SOCK_RAW;
+    else if (level == SOL_SOCKET && option == SO_PROTOCOL)
+        number = CAN_RAW;
+    else
+        return REAL(getsockopt)(fd, level, option, value, size);
     if (*size < sizeof number) return failed(EINVAL);
     memcpy(value, &number, sizeof number);
     *size = sizeof number;

@@ -58,14 +58,15 @@ typedef bool condition(void *subject);
 struct thread {
     struct thread *next;
     pthread_t id;
-    uint16_t party;                        /* its number on the connection */
+    pid_t task;     /* its number in the kernel */
+    uint16_t party; /* its number on the connection */
     bool waits, has_finished, is_cancelled;
-    sem_t baton;                           /* posted when it gets the turn */
-    int64_t looked_ns, owed_ns, read_ns;   /* last look at a clock: when, unpaid cost, value */
+    sem_t baton;                         /* posted when it gets the turn */
+    int64_t looked_ns, owed_ns, read_ns; /* last look at a clock: when, unpaid cost, value */
     void *(*start)(void *);
     void *argument;
-    struct wait *first_wait;               /* for its first turn */
-    int rounds;                            /* of destructors of its values, when it ends */
+    struct wait *first_wait; /* for its first turn */
+    int rounds;              /* of destructors of its values, when it ends */
 };
 
 struct wait {

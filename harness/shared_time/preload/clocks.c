@@ -11,8 +11,15 @@
 #include <sys/time.h>
 #include <unistd.h>
 
-static const int64_t UPTIME_NS = 100000 * (int64_t)NS_PER_S, END_NS = 1000000000 * (int64_t)NS_PER_S;
-enum { LOOK_NS = 1000, SPIN_LOOK_NS = 10000, BILL_NS = 1000000, SPIN_BILLS = 10, TOLD_BILLS = 1000 };
+static const int64_t UPTIME_NS = 100000 * (int64_t)NS_PER_S,
+                     END_NS = 1000000000 * (int64_t)NS_PER_S;
+enum {
+    LOOK_NS = 1000,
+    SPIN_LOOK_NS = 10000,
+    BILL_NS = 1000000,
+    SPIN_BILLS = 10,
+    TOLD_BILLS = 1000
+};
 
 static int64_t ahead_ns, paid_ns = -1; /* last value of a clock; end of the last payment */
 static int bills;                      /* consecutive payments with nothing in between */
@@ -24,10 +31,8 @@ int64_t base_ns(clockid_t clock)
     case CLOCK_MONOTONIC_RAW:
     case CLOCK_MONOTONIC_COARSE:
     case CLOCK_BOOTTIME:
-    case CLOCK_BOOTTIME_ALARM:
-        return UPTIME_NS;
-    default:
-        return 0;
+    case CLOCK_BOOTTIME_ALARM: return UPTIME_NS;
+    default: return 0;
     }
 }
 
@@ -49,7 +54,8 @@ int64_t look(void)
     bills = rig.now_ns == paid_ns ? bills + 1 : 0;
     if (bills == TOLD_BILLS)
         tell("program '%s' polls without sleeping; each poll takes %d us of the rig's time; add a"
-             " sleep", rig.name, SPIN_LOOK_NS / 1000);
+             " sleep",
+             rig.name, SPIN_LOOK_NS / 1000);
     wait_turn(never, NULL, ahead_ns, 0);
     paid_ns = rig.now_ns;
     return read_ns;
@@ -141,7 +147,8 @@ static int64_t sleep_deadline(int64_t ns)
     return deadline_after(ns > LOOK_NS ? ns : LOOK_NS);
 }
 
-EXPORT int clock_nanosleep(clockid_t clock, int flags, const struct timespec *time, struct timespec *left)
+EXPORT int clock_nanosleep(clockid_t clock, int flags, const struct timespec *time,
+                           struct timespec *left)
 {
     if (!in_rig() || !is_duration(time)) return REAL(clock_nanosleep)(clock, flags, time, left);
     if (flags & TIMER_ABSTIME) return sleep_until(deadline_at(clock, time), NULL);

@@ -25,25 +25,61 @@
 #endif
 
 enum { VERSION = 1, RECORD_MAX = 65536, WELCOME_S = 12 };
-enum { RECORD_JOIN = 16, RECORD_PARTY = 23, RECORD_WAIT, RECORD_WITHDRAW, RECORD_IDLE, RECORD_LEAVE };
+enum {
+    RECORD_JOIN = 16,
+    RECORD_PARTY = 23,
+    RECORD_WAIT,
+    RECORD_WITHDRAW,
+    RECORD_IDLE,
+    RECORD_LEAVE
+};
 enum { RECORD_WELCOME = 32, RECORD_REFUSED, RECORD_HEARD = 35, RECORD_TOLD, RECORD_EXPIRED };
 enum { RECORD_CHECK = 38, RECORD_GRANT };
 
-struct __attribute__((packed)) numbered { uint8_t kind; uint16_t number; char text[]; };
-struct __attribute__((packed)) counted { uint8_t kind; uint32_t number; };
+struct __attribute__((packed)) numbered {
+    uint8_t kind;
+    uint16_t number;
+    char text[];
+};
+struct __attribute__((packed)) counted {
+    uint8_t kind;
+    uint32_t number;
+};
 struct __attribute__((packed)) waiting {
-    uint8_t kind; uint32_t wait; uint16_t party; uint8_t flags; int64_t deadline_ns;
+    uint8_t kind;
+    uint32_t wait;
+    uint16_t party;
+    uint8_t flags;
+    int64_t deadline_ns;
 };
 struct __attribute__((packed)) delivery {
-    uint8_t kind; uint16_t port; int64_t time_ns; uint8_t is_transmitted; uint8_t frame[];
+    uint8_t kind;
+    uint16_t port;
+    int64_t time_ns;
+    uint8_t is_transmitted;
+    uint8_t frame[];
 };
-struct __attribute__((packed)) period { uint8_t kind; uint32_t number; int64_t time_ns; };
-struct __attribute__((packed)) call { uint8_t kind; int64_t time_ns; };
+struct __attribute__((packed)) period {
+    uint8_t kind;
+    uint32_t number;
+    int64_t time_ns;
+};
+struct __attribute__((packed)) call {
+    uint8_t kind;
+    int64_t time_ns;
+};
 struct __attribute__((packed)) turn {
-    uint8_t kind; uint32_t wait; int64_t time_ns; uint8_t result; char reason[];
+    uint8_t kind;
+    uint32_t wait;
+    int64_t time_ns;
+    uint8_t result;
+    char reason[];
 };
 struct __attribute__((packed)) welcome {
-    uint8_t kind; uint16_t version; int64_t now_ns, seed; char buses[];
+    uint8_t kind;
+    uint16_t version;
+    int64_t now_ns, seed;
+    char buses[];
 };
 
 struct rig rig = {.fd = -1, .next_wait = 1};
@@ -160,8 +196,10 @@ void require_open_rig(void)
     struct stat door;
     if (rig.state == AWAITING && !stat(rig.path, &door) && door.st_mode & S_IWUSR) return;
     rig.state = LEFT;
-    refuse("program '%s' has joined the rig already, in another process; expected one process; write"
-           " exec before the command in a script", rig.name);
+    refuse(
+        "program '%s' has joined the rig already, in another process; expected one process; write"
+        " exec before the command in a script",
+        rig.name);
 }
 
 void join_rig(void)
@@ -225,7 +263,8 @@ bool in_rig(void)
         is_told = true;
         tell("a forked child of program '%s' has the time of the wall", rig.name);
     }
-    return (rig.state == AWAITING || rig.state == JOINED) && (!thread_here || !thread_here->has_finished);
+    return (rig.state == AWAITING || rig.state == JOINED) &&
+           (!thread_here || !thread_here->has_finished);
 }
 
 /* Python programs join by themselves, also where a script has started them. */
@@ -295,7 +334,8 @@ void begin_wait(struct wait *wait, int64_t deadline_ns, int flags)
     wait->next = NULL;
     wait->number = rig.next_wait++;
     wait->is_cancellable = flags & CANCELLABLE;
-    struct waiting record = {RECORD_WAIT, wait->number, wait->thread->party, flags & ON_PARTIES, deadline_ns};
+    struct waiting record = {RECORD_WAIT, wait->number, wait->thread->party, flags & ON_PARTIES,
+                             deadline_ns};
     send_record(&record, sizeof record);
 }
 
@@ -348,9 +388,7 @@ static struct wait *next_turn(void)
             rig.now_ns = period->time_ns;
             expire_timer(period->number);
             break;
-        case RECORD_CHECK:
-            rig.now_ns = ((struct call *)record)->time_ns;
-            break;
+        case RECORD_CHECK: rig.now_ns = ((struct call *)record)->time_ns; break;
         case RECORD_GRANT:
             rig.now_ns = turn->time_ns;
             struct wait *wait = take_wait(turn->wait);
@@ -359,7 +397,8 @@ static struct wait *next_turn(void)
             snprintf(rig.reason, sizeof rig.reason, "%s", turn->reason);
             return wait;
         default:
-            refuse("record %u of the rig: unknown; expected the same version on both sides", record[0]);
+            refuse("record %u of the rig: unknown; expected the same version on both sides",
+                   record[0]);
         }
     }
 }
@@ -389,8 +428,10 @@ enum result wait_turn(condition *holds, void *subject, int64_t deadline_ns, int 
         refuse("thread %ld was not started by pthread_create and has no turn; expected"
                " pthread_create; joins = false lets the program run beside the rig",
                REAL(syscall)(SYS_gettid));
-    if (me->waits) refuse("program '%s' waits in a signal handler; expected a flag that its main"
-                          " loop looks at", rig.name);
+    if (me->waits)
+        refuse("program '%s' waits in a signal handler; expected a flag that its main"
+               " loop looks at",
+               rig.name);
     pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &state);
     me->waits = true;
     struct wait mine = {.thread = me, .holds = holds, .subject = subject};

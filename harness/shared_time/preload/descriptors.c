@@ -32,14 +32,21 @@ void closefrom(int);
 enum { RECORD_EVERY = 21, RECORD_CANCEL, SET_APART_FD = 512 };
 static const int64_t PERIOD_NS_MAX = 1000000000 * (int64_t)NS_PER_S;
 
-struct __attribute__((packed)) every { uint8_t kind; uint32_t number; int64_t period_ns; };
-struct __attribute__((packed)) cancel { uint8_t kind; uint32_t number; };
+struct __attribute__((packed)) every {
+    uint8_t kind;
+    uint32_t number;
+    int64_t period_ns;
+};
+struct __attribute__((packed)) cancel {
+    uint8_t kind;
+    uint32_t number;
+};
 
 struct timer {
     struct descriptor descriptor;
     struct timer *next;
     clockid_t clock;
-    uint32_t number; /* of its period in the rig; 0: it does not run */
+    uint32_t number;                         /* of its period in the rig; 0: it does not run */
     int64_t next_ns, period_ns, interval_ns; /* the period is that in the rig */
 };
 
@@ -118,7 +125,8 @@ EXPORT int close_range(unsigned first, unsigned last, int flags)
 {
     if (rig.state != JOINED || flags) return REAL(close_range)(first, last, flags);
     for (unsigned fd = first; fd <= last && fd < DESCRIPTORS_MAX; fd++) close(fd);
-    return last < DESCRIPTORS_MAX ? 0 : REAL(close_range)(DESCRIPTORS_MAX, last, 0);
+    if (last < DESCRIPTORS_MAX || !REAL(close_range)) return 0;
+    return REAL(close_range)(DESCRIPTORS_MAX, last, 0);
 }
 
 EXPORT void closefrom(int first)
@@ -213,10 +221,14 @@ static void look_at(int fd)
     const char *what = outsider(fd);
     if (what)
         tell("program '%s' waits for descriptor %d, a %s, which has the time of the wall; the rig's"
-             " time does not wait for it", rig.name, fd, what);
+             " time does not wait for it",
+             rig.name, fd, what);
 }
 
-struct polled { struct pollfd *fds; nfds_t count; };
+struct polled {
+    struct pollfd *fds;
+    nfds_t count;
+};
 
 static bool is_polled(void *subject)
 {
@@ -257,7 +269,8 @@ static int interrupted(void)
 }
 
 /* poll() that has found nothing: wait, and ask again. `mask` is set where signals arrive. */
-static int poll_again(struct pollfd *fds, nfds_t count, int64_t deadline_ns, bool may_wait, const sigset_t *mask)
+static int poll_again(struct pollfd *fds, nfds_t count, int64_t deadline_ns, bool may_wait,
+                      const sigset_t *mask)
 {
     if (!may_wait) {
         look();
@@ -272,12 +285,15 @@ EXPORT int poll(struct pollfd *fds, nfds_t count, int timeout_ms)
 {
     if (!in_rig()) return REAL(poll)(fds, count, timeout_ms);
     int ready = REAL(poll)(fds, count, 0);
-    return ready ? ready : poll_again(fds, count, deadline_in_ms(timeout_ms), timeout_ms != 0, NULL);
+    return ready ? ready
+                 : poll_again(fds, count, deadline_in_ms(timeout_ms), timeout_ms != 0, NULL);
 }
 
-EXPORT int ppoll(struct pollfd *fds, nfds_t count, const struct timespec *timeout, const sigset_t *mask)
+EXPORT int ppoll(struct pollfd *fds, nfds_t count, const struct timespec *timeout,
+                 const sigset_t *mask)
 {
-    if (!in_rig() || (timeout && !is_duration(timeout))) return REAL(ppoll)(fds, count, timeout, mask);
+    if (!in_rig() || (timeout && !is_duration(timeout)))
+        return REAL(ppoll)(fds, count, timeout, mask);
     int ready = REAL(ppoll)(fds, count, &no_time, mask);
     bool may_wait = !timeout || duration_ns(timeout) != 0;
     return ready ? ready : poll_again(fds, count, deadline_in(timeout), may_wait, mask);
@@ -289,7 +305,8 @@ EXPORT int __poll_chk(struct pollfd *fds, nfds_t count, int timeout_ms, size_t s
     return poll(fds, count, timeout_ms);
 }
 
-EXPORT int __ppoll_chk(struct pollfd *fds, nfds_t count, const struct timespec *timeout, const sigset_t *mask, size_t size)
+EXPORT int __ppoll_chk(struct pollfd *fds, nfds_t count, const struct timespec *timeout,
+                       const sigset_t *mask, size_t size)
 {
     (void)size;
     return ppoll(fds, count, timeout, mask);
@@ -325,8 +342,10 @@ EXPORT int pselect(int count, fd_set *restrict in, fd_set *restrict out, fd_set 
         if (sets[i]) *sets[i] = asked[i];
     bool may_wait = !timeout || duration_ns(timeout) != 0;
     enum result result = HOLDS;
-    if (may_wait) result = wait_for(fds, polled_sets(count, sets, fds), deadline_in(timeout));
-    else look();
+    if (may_wait)
+        result = wait_for(fds, polled_sets(count, sets, fds), deadline_in(timeout));
+    else
+        look();
     ready = REAL(pselect)(count, in, out, urgent, &no_time, mask);
     return result == INTERRUPTED && !ready ? interrupted() : ready;
 }
@@ -347,10 +366,11 @@ EXPORT int select(int count, fd_set *restrict in, fd_set *restrict out, fd_set *
     return ready;
 }
 
-EXPORT int epoll_pwait2(int epoll, struct epoll_event *events, int count, const struct timespec *timeout,
-                        const sigset_t *mask)
+EXPORT int epoll_pwait2(int epoll, struct epoll_event *events, int count,
+                        const struct timespec *timeout, const sigset_t *mask)
 {
-    if (!in_rig() || (timeout && !is_duration(timeout))) return REAL(epoll_pwait2)(epoll, events, count, timeout, mask);
+    if (!in_rig() || (timeout && !is_duration(timeout)))
+        return REAL(epoll_pwait2)(epoll, events, count, timeout, mask);
     int ready = REAL(epoll_pwait)(epoll, events, count, 0, mask);
     if (ready) return ready;
     if (timeout && !duration_ns(timeout)) {
@@ -363,7 +383,8 @@ EXPORT int epoll_pwait2(int epoll, struct epoll_event *events, int count, const 
     return result == INTERRUPTED && !ready ? interrupted() : ready;
 }
 
-EXPORT int epoll_pwait(int epoll, struct epoll_event *events, int count, int timeout_ms, const sigset_t *mask)
+EXPORT int epoll_pwait(int epoll, struct epoll_event *events, int count, int timeout_ms,
+                       const sigset_t *mask)
 {
     if (!in_rig()) return REAL(epoll_pwait)(epoll, events, count, timeout_ms, mask);
     struct timespec timeout = timespec_of(timeout_ms * (int64_t)1000000);
@@ -411,15 +432,18 @@ EXPORT ssize_t read(int fd, void *data, size_t size)
 
 EXPORT ssize_t readv(int fd, const struct iovec *parts, int count)
 {
-    if (is_can(fd)) refuse("program '%s': readv() of a CAN socket: not supported; expected read()", rig.name);
+    if (is_can(fd))
+        refuse("program '%s': readv() of a CAN socket: not supported; expected read()", rig.name);
     return await_input(fd, 0) ? charged(REAL(readv)(fd, parts, count)) : -1;
 }
 
-EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags, struct sockaddr *restrict address,
-                        socklen_t *restrict address_size)
+EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags,
+                        struct sockaddr *restrict address, socklen_t *restrict address_size)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, address, address_size);
-    return await_input(fd, flags) ? charged(REAL(recvfrom)(fd, data, size, flags, address, address_size)) : -1;
+    return await_input(fd, flags)
+               ? charged(REAL(recvfrom)(fd, data, size, flags, address, address_size))
+               : -1;
 }
 
 EXPORT ssize_t recv(int fd, void *data, size_t size, int flags)
@@ -464,7 +488,8 @@ EXPORT ssize_t write(int fd, const void *data, size_t size)
 
 EXPORT ssize_t writev(int fd, const struct iovec *parts, int count)
 {
-    if (is_can(fd)) refuse("program '%s': writev() to a CAN socket: not supported; expected write()", rig.name);
+    if (is_can(fd))
+        refuse("program '%s': writev() to a CAN socket: not supported; expected write()", rig.name);
     return REAL(writev)(fd, parts, count);
 }
 
@@ -473,8 +498,8 @@ EXPORT ssize_t send(int fd, const void *data, size_t size, int flags)
     return is_can(fd) ? can_send(fd, data, size, NULL, 0) : REAL(send)(fd, data, size, flags);
 }
 
-EXPORT ssize_t sendto(int fd, const void *data, size_t size, int flags, const struct sockaddr *address,
-                      socklen_t address_size)
+EXPORT ssize_t sendto(int fd, const void *data, size_t size, int flags,
+                      const struct sockaddr *address, socklen_t address_size)
 {
     if (is_can(fd)) return can_send(fd, data, size, address, address_size);
     return REAL(sendto)(fd, data, size, flags, address, address_size);
@@ -538,7 +563,8 @@ EXPORT int timerfd_create(clockid_t clock, int flags)
     int fd = timer ? eventfd(0, flags & (TFD_NONBLOCK | TFD_CLOEXEC)) : -1;
     if (fd < 0) return -1;
     timer->clock = clock;
-    timer->descriptor = (struct descriptor){.kind = TIMER, .inner = set_apart(REAL(fcntl)(fd, F_DUPFD, 0))};
+    timer->descriptor =
+        (struct descriptor){.kind = TIMER, .inner = set_apart(REAL(fcntl)(fd, F_DUPFD, 0))};
     timer->next = timers;
     timers = timer;
     keep(fd, &timer->descriptor);
@@ -566,7 +592,8 @@ EXPORT int timerfd_gettime(int fd, struct itimerspec *setting)
     return 0;
 }
 
-EXPORT int timerfd_settime(int fd, int flags, const struct itimerspec *setting, struct itimerspec *old)
+EXPORT int timerfd_settime(int fd, int flags, const struct itimerspec *setting,
+                           struct itimerspec *old)
 {
     struct timer *timer = timer_of(fd);
     struct pollfd input = {.fd = fd, .events = POLLIN};

@@ -9,18 +9,19 @@
 #include <errno.h>
 
 /* By a name of the assembler, since headers declare each with its own types. */
-#define REFUSAL(call, remedy)                                                                      \
-    EXPORT long refused_##call(long a, long b, long c, long d, long e, long f) __asm__(#call);     \
-    EXPORT long refused_##call(long a, long b, long c, long d, long e, long f)                     \
-    {                                                                                              \
-        static long (*real)(long, long, long, long, long, long);                                   \
-        if (in_rig())                                                                              \
-            refuse("program '%s' calls %s(): not supported in the rig's time; %s; joins = false"   \
-                   " lets the program run beside the rig", rig.name, #call, remedy);               \
-        if (!real) real = (__typeof__(real))real_function(#call);                                  \
-        if (real) return real(a, b, c, d, e, f);                                                   \
-        errno = ENOSYS;                                                                            \
-        return -1;                                                                                 \
+#define REFUSAL(call, remedy)                                                                    \
+    EXPORT long refused_##call(long a, long b, long c, long d, long e, long f) __asm__(#call);   \
+    EXPORT long refused_##call(long a, long b, long c, long d, long e, long f)                   \
+    {                                                                                            \
+        static long (*real)(long, long, long, long, long, long);                                 \
+        if (in_rig())                                                                            \
+            refuse("program '%s' calls %s(): not supported in the rig's time; %s; joins = false" \
+                   " lets the program run beside the rig",                                       \
+                   rig.name, #call, remedy);                                                     \
+        if (!real) real = (__typeof__(real))real_function(#call);                                \
+        if (real) return real(a, b, c, d, e, f);                                                 \
+        errno = ENOSYS;                                                                          \
+        return -1;                                                                               \
     }
 
 REFUSAL(timer_create, "expected timerfd_create() or a thread that sleeps")

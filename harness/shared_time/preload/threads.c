@@ -25,7 +25,7 @@ int pthread_rwlock_clockrdlock(pthread_rwlock_t *, clockid_t, const struct times
 int pthread_rwlock_clockwrlock(pthread_rwlock_t *, clockid_t, const struct timespec *);
 int pthread_clockjoin_np(pthread_t, void **, clockid_t, const struct timespec *);
 
-enum { PARTIES_MAX = 1024 }; /* of a program, in the rig */
+enum { PARTIES_MAX = 1024 };   /* of a program, in the rig */
 static struct thread *threads; /* that have been started and not joined */
 static uint16_t party_count = 1, free_parties[PARTIES_MAX];
 static int free_count;
@@ -51,6 +51,7 @@ static void end_thread(void *value)
 void note_main_thread(void)
 {
     first_thread.id = pthread_self();
+    first_thread.task = REAL(syscall)(SYS_gettid);
     sem_init(&first_thread.baton, 0, 0);
     pthread_key_create(&at_end, end_thread);
     pthread_setspecific(at_end, &first_thread);
@@ -60,6 +61,7 @@ void note_main_thread(void)
 static void *run_thread(void *argument)
 {
     struct thread *me = thread_here = argument;
+    me->task = REAL(syscall)(SYS_gettid);
     pthread_setspecific(at_end, me);
     await_baton(me);
     free(me->first_wait);
@@ -96,7 +98,8 @@ EXPORT int pthread_create(pthread_t *id, const pthread_attr_t *attributes, void 
         return EAGAIN;
     }
     *wait = (struct wait){.thread = thread, .holds = at_once};
-    *thread = (struct thread){.start = start, .argument = argument, .waits = true, .first_wait = wait};
+    *thread =
+        (struct thread){.start = start, .argument = argument, .waits = true, .first_wait = wait};
     thread->party = is_new ? party_count : free_parties[free_count - 1];
     sem_init(&thread->baton, 0, 0);
     int error = REAL(pthread_create)(&thread->id, attributes, run_thread, thread);
@@ -105,8 +108,10 @@ EXPORT int pthread_create(pthread_t *id, const pthread_attr_t *attributes, void 
         free(wait);
         return error;
     }
-    if (is_new) name_party(party_count++);
-    else free_count--;
+    if (is_new)
+        name_party(party_count++);
+    else
+        free_count--;
     *id = thread->id;
     forget(thread->id); /* of a detached thread, which has ended */
     thread->next = threads;
@@ -125,7 +130,8 @@ static int join_until(pthread_t id, void **value, int64_t deadline_ns)
     struct thread *thread = *place_of(id);
     if (thread && thread != thread_here)
         while (!thread->has_finished)
-            if (wait_point(is_finished, thread, deadline_ns, ON_PARTIES) == EXPIRED) return ETIMEDOUT;
+            if (wait_point(is_finished, thread, deadline_ns, ON_PARTIES) == EXPIRED)
+                return ETIMEDOUT;
     int error = REAL(pthread_join)(id, value);
     if (!error) forget(id);
     return error;
@@ -136,7 +142,8 @@ EXPORT int pthread_join(pthread_t id, void **value)
     return in_rig() ? join_until(id, value, NEVER) : REAL(pthread_join)(id, value);
 }
 
-EXPORT int pthread_clockjoin_np(pthread_t id, void **value, clockid_t clock, const struct timespec *until)
+EXPORT int pthread_clockjoin_np(pthread_t id, void **value, clockid_t clock,
+                                const struct timespec *until)
 {
     if (!in_rig()) return REAL(pthread_clockjoin_np)(id, value, clock, until);
     return join_until(id, value, deadline_at(clock, until));
@@ -167,7 +174,8 @@ EXPORT int pthread_cancel(pthread_t id)
 
 EXPORT int sched_yield(void)
 {
-    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits) return REAL(sched_yield)();
+    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits)
+        return REAL(sched_yield)();
     look();
     wait_turn(never, NULL, rig.now_ns, 0);
     return 0;
@@ -180,11 +188,24 @@ static bool is_free(void *mutex)
     return !(((pthread_mutex_t *)mutex)->__data.__lock & FUTEX_TID_MASK);
 }
 
+/* Return whether a thread holds the mutex that runs beside the turn, since it has ended but for
+ * what the C library does then. It gives the mutex back without a turn. */
+static bool is_held_beside(const pthread_mutex_t *mutex)
+{
+    pid_t owner = mutex->__data.__owner;
+    for (struct thread *thread = threads; thread; thread = thread->next)
+        if (thread->task == owner && !thread->has_finished) return false;
+    return owner && REAL(syscall)(SYS_tgkill, getpid(), owner, 0) == 0;
+}
+
 static int lock_until(pthread_mutex_t *mutex, int64_t deadline_ns)
 {
     int error;
     while ((error = REAL(pthread_mutex_trylock)(mutex)) == EBUSY)
-        if (wait_turn(is_free, mutex, deadline_ns, ON_PARTIES) == EXPIRED) return ETIMEDOUT;
+        if (is_held_beside(mutex))
+            REAL(sched_yield)();
+        else if (wait_turn(is_free, mutex, deadline_ns, ON_PARTIES) == EXPIRED)
+            return ETIMEDOUT;
     return error;
 }
 
@@ -193,7 +214,8 @@ EXPORT int pthread_mutex_lock(pthread_mutex_t *mutex)
     if (rig.state != JOINED || !in_rig() || !thread_here) return REAL(pthread_mutex_lock)(mutex);
     if (thread_here->waits) refuse("program '%s' locks a mutex in a signal handler", rig.name);
     int type = mutex->__data.__kind & 3;
-    if (type == PTHREAD_MUTEX_ERRORCHECK && mutex->__data.__owner == REAL(syscall)(SYS_gettid)) return EDEADLK;
+    if (type == PTHREAD_MUTEX_ERRORCHECK && mutex->__data.__owner == thread_here->task)
+        return EDEADLK;
     return lock_until(mutex, NEVER);
 }
 
@@ -204,13 +226,15 @@ EXPORT int pthread_mutex_trylock(pthread_mutex_t *mutex)
     return error;
 }
 
-EXPORT int pthread_mutex_clocklock(pthread_mutex_t *mutex, clockid_t clock, const struct timespec *until)
+EXPORT int pthread_mutex_clocklock(pthread_mutex_t *mutex, clockid_t clock,
+                                   const struct timespec *until)
 {
     if (!in_rig()) return REAL(pthread_mutex_clocklock)(mutex, clock, until);
     return lock_until(mutex, deadline_at(clock, until));
 }
 
-EXPORT int pthread_mutex_timedlock(pthread_mutex_t *restrict mutex, const struct timespec *restrict until)
+EXPORT int pthread_mutex_timedlock(pthread_mutex_t *restrict mutex,
+                                   const struct timespec *restrict until)
 {
     if (!in_rig()) return REAL(pthread_mutex_timedlock)(mutex, until);
     return lock_until(mutex, deadline_at(CLOCK_REALTIME, until));
@@ -263,13 +287,15 @@ EXPORT int pthread_cond_timedwait(pthread_cond_t *restrict cond, pthread_mutex_t
 {
     if (!in_rig() || !is_duration(until)) return REAL(pthread_cond_timedwait)(cond, mutex, until);
     bool is_monotonic = cond->__data.__wrefs & 2; /* by pthread_condattr_setclock */
-    return cond_until(cond, mutex, deadline_at(is_monotonic ? CLOCK_MONOTONIC : CLOCK_REALTIME, until));
+    return cond_until(cond, mutex,
+                      deadline_at(is_monotonic ? CLOCK_MONOTONIC : CLOCK_REALTIME, until));
 }
 
 EXPORT int pthread_cond_clockwait(pthread_cond_t *cond, pthread_mutex_t *mutex, clockid_t clock,
                                   const struct timespec *until)
 {
-    if (!in_rig() || !is_duration(until)) return REAL(pthread_cond_clockwait)(cond, mutex, clock, until);
+    if (!in_rig() || !is_duration(until))
+        return REAL(pthread_cond_clockwait)(cond, mutex, clock, until);
     return cond_until(cond, mutex, deadline_at(clock, until));
 }
 
@@ -287,7 +313,8 @@ EXPORT int pthread_cond_broadcast(pthread_cond_t *cond)
     return 0;
 }
 
-static int rwlock_until(pthread_rwlock_t *lock, int (*attempt)(pthread_rwlock_t *), int64_t deadline_ns)
+static int rwlock_until(pthread_rwlock_t *lock, int (*attempt)(pthread_rwlock_t *),
+                        int64_t deadline_ns)
 {
     int error;
     while ((error = attempt(lock)) == EBUSY) {
@@ -297,23 +324,24 @@ static int rwlock_until(pthread_rwlock_t *lock, int (*attempt)(pthread_rwlock_t 
     return error;
 }
 
-#define RWLOCK(kind)                                                                                \
-    EXPORT int pthread_rwlock_##kind##lock(pthread_rwlock_t *lock)                                  \
-    {                                                                                               \
-        if (rig.state != JOINED || !in_rig()) return REAL(pthread_rwlock_##kind##lock)(lock);       \
-        return rwlock_until(lock, REAL(pthread_rwlock_try##kind##lock), NEVER);                     \
-    }                                                                                               \
-    EXPORT int pthread_rwlock_clock##kind##lock(pthread_rwlock_t *lock, clockid_t clock,            \
-                                                const struct timespec *until)                       \
-    {                                                                                               \
-        if (!in_rig()) return REAL(pthread_rwlock_clock##kind##lock)(lock, clock, until);           \
-        return rwlock_until(lock, REAL(pthread_rwlock_try##kind##lock), deadline_at(clock, until)); \
-    }                                                                                               \
-    EXPORT int pthread_rwlock_timed##kind##lock(pthread_rwlock_t *restrict lock,                    \
-                                                const struct timespec *restrict until)              \
-    {                                                                                               \
-        if (!in_rig()) return REAL(pthread_rwlock_timed##kind##lock)(lock, until);                  \
-        return pthread_rwlock_clock##kind##lock(lock, CLOCK_REALTIME, until);                       \
+#define RWLOCK(kind)                                                                          \
+    EXPORT int pthread_rwlock_##kind##lock(pthread_rwlock_t *lock)                            \
+    {                                                                                         \
+        if (rig.state != JOINED || !in_rig()) return REAL(pthread_rwlock_##kind##lock)(lock); \
+        return rwlock_until(lock, REAL(pthread_rwlock_try##kind##lock), NEVER);               \
+    }                                                                                         \
+    EXPORT int pthread_rwlock_clock##kind##lock(pthread_rwlock_t *lock, clockid_t clock,      \
+                                                const struct timespec *until)                 \
+    {                                                                                         \
+        if (!in_rig()) return REAL(pthread_rwlock_clock##kind##lock)(lock, clock, until);     \
+        return rwlock_until(lock, REAL(pthread_rwlock_try##kind##lock),                       \
+                            deadline_at(clock, until));                                       \
+    }                                                                                         \
+    EXPORT int pthread_rwlock_timed##kind##lock(pthread_rwlock_t *restrict lock,              \
+                                                const struct timespec *restrict until)        \
+    {                                                                                         \
+        if (!in_rig()) return REAL(pthread_rwlock_timed##kind##lock)(lock, until);            \
+        return pthread_rwlock_clock##kind##lock(lock, CLOCK_REALTIME, until);                 \
     }
 RWLOCK(rd)
 RWLOCK(wr)
@@ -373,31 +401,32 @@ EXPORT int sem_trywait(sem_t *semaphore)
     return result;
 }
 
-/* ---- system calls by number: futexes of std::future, static variables, Rust ------------------- */
+/* ---- system calls by number: futexes of std::future, static variables, Rust -------------------
+ */
 
-static long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time, uint32_t bits)
+static long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
+                  uint32_t bits)
 {
     bool is_absolute = (operation & FUTEX_CMD_MASK) == FUTEX_WAIT_BITSET;
     struct sleeper mine = {.address = word, .bits = is_absolute ? bits : ~0u};
     int64_t deadline_ns = NEVER;
     switch (operation & FUTEX_CMD_MASK) {
-    case FUTEX_WAKE:
-        return wake(word, value, ~0u);
-    case FUTEX_WAKE_BITSET:
-        return wake(word, value, bits);
+    case FUTEX_WAKE: return wake(word, value, ~0u);
+    case FUTEX_WAKE_BITSET: return wake(word, value, bits);
     case FUTEX_WAIT:
-    case FUTEX_WAIT_BITSET:
-        break;
+    case FUTEX_WAIT_BITSET: break;
     default:
         refuse("program '%s': futex operation %d: not supported; expected FUTEX_WAIT or FUTEX_WAKE;"
-               " joins = false lets the program run beside the rig", rig.name, operation);
+               " joins = false lets the program run beside the rig",
+               rig.name, operation);
     }
     if (__atomic_load_n(word, __ATOMIC_SEQ_CST) != value) {
         errno = EAGAIN;
         return -1;
     }
     clockid_t clock = operation & FUTEX_CLOCK_REALTIME ? CLOCK_REALTIME : CLOCK_MONOTONIC;
-    if (time) deadline_ns = is_absolute ? deadline_at(clock, time) : deadline_after(duration_ns(time));
+    if (time)
+        deadline_ns = is_absolute ? deadline_at(clock, time) : deadline_after(duration_ns(time));
     enum result result = wait_turn(is_woken, &mine, deadline_ns, ON_PARTIES);
     if (result == HOLDS) return 0;
     errno = result == EXPIRED ? ETIMEDOUT : EINTR;
@@ -412,12 +441,9 @@ EXPORT long syscall(long number, ...)
     for (int i = 0; i < 6; i++) a[i] = va_arg(values, long);
     va_end(values);
     if (in_rig()) switch (number) {
-        case SYS_futex:
-            return futex((uint32_t *)a[0], a[1], a[2], (void *)a[3], a[5]);
-        case SYS_clock_gettime:
-            return clock_gettime(a[0], (void *)a[1]);
-        case SYS_nanosleep:
-            return nanosleep((void *)a[0], (void *)a[1]);
+        case SYS_futex: return futex((uint32_t *)a[0], a[1], a[2], (void *)a[3], a[5]);
+        case SYS_clock_gettime: return clock_gettime(a[0], (void *)a[1]);
+        case SYS_nanosleep: return nanosleep((void *)a[0], (void *)a[1]);
         case SYS_clock_nanosleep:
             return (errno = clock_nanosleep(a[0], a[1], (void *)a[2], (void *)a[3])) ? -1 : 0;
         }

@@ -33,8 +33,10 @@ int main(int words, char **word)
         if (send(sender, &frame, sizeof frame, 0) != sizeof frame) return 6;
         usleep(1000);
     }
-    while (recv(hearer, &frame, sizeof frame, MSG_DONTWAIT) == sizeof frame) printf(" %X", frame.can_id);
+    while (recv(hearer, &frame, sizeof frame, MSG_DONTWAIT) == sizeof frame)
+        printf(" %X", frame.can_id);
     printf("\n");
-    if (recv(sender, &frame, sizeof frame, MSG_DONTWAIT) >= 0) return 7; /* no own frames by default */
+    if (recv(sender, &frame, sizeof frame, MSG_DONTWAIT) >= 0)
+        return 7; /* no own frames by default */
     return 0;
 }

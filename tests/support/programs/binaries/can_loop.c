@@ -20,7 +20,8 @@
 static int open_socket(const char *name, int hears_own)
 {
     int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK, CAN_RAW), yes = 1;
-    struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = name ? if_nametoindex(name) : 0};
+    struct sockaddr_can address = {.can_family = AF_CAN,
+                                   .can_ifindex = name ? if_nametoindex(name) : 0};
     if (fd < 0 || (name && !address.can_ifindex)) return -1;
     if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS, &hears_own, sizeof hears_own)) return -1;
     if (setsockopt(fd, SOL_SOCKET, SO_TIMESTAMP, &yes, sizeof yes)) return -1;
@@ -33,15 +34,20 @@ static void print_frame(const char *who, int fd)
     struct sockaddr_can from;
     char control[128], name[IF_NAMESIZE];
     struct iovec part = {&frame, sizeof frame};
-    struct msghdr message = {.msg_name = &from, .msg_namelen = sizeof from, .msg_iov = &part,
-                             .msg_iovlen = 1, .msg_control = control, .msg_controllen = sizeof control};
+    struct msghdr message = {.msg_name = &from,
+                             .msg_namelen = sizeof from,
+                             .msg_iov = &part,
+                             .msg_iovlen = 1,
+                             .msg_control = control,
+                             .msg_controllen = sizeof control};
     while (recvmsg(fd, &message, 0) == sizeof frame) {
         struct cmsghdr *head = CMSG_FIRSTHDR(&message);
         struct timeval time = {0, 0};
         if (head && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SO_TIMESTAMP)
             memcpy(&time, CMSG_DATA(head), sizeof time);
         printf("%s %s %X %ld%s%s\n", who, if_indextoname(from.can_ifindex, name), frame.can_id,
-               time.tv_sec * 1000 + time.tv_usec / 1000, message.msg_flags & MSG_CONFIRM ? " own" : "",
+               time.tv_sec * 1000 + time.tv_usec / 1000,
+               message.msg_flags & MSG_CONFIRM ? " own" : "",
                message.msg_flags & MSG_DONTROUTE ? " local" : "");
         message.msg_controllen = sizeof control;
         message.msg_namelen = sizeof from;

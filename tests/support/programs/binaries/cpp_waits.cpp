@@ -13,7 +13,8 @@ static const auto start = std::chrono::steady_clock::now();
 static void print(const char *what)
 {
     auto passed = std::chrono::steady_clock::now() - start;
-    std::printf("%s %lld\n", what, (long long)std::chrono::duration_cast<std::chrono::milliseconds>(passed).count());
+    std::printf("%s %lld\n", what,
+                (long long)std::chrono::duration_cast<std::chrono::milliseconds>(passed).count());
 }
 
 int main()
@@ -31,15 +32,24 @@ int main()
     auto future = promise.get_future();
     if (future.wait_for(100ms) != std::future_status::timeout) return 1;
     print("future");
-    std::thread helper([&] { std::this_thread::sleep_for(100ms); promise.set_value(7); });
+    std::thread helper([&] {
+        std::this_thread::sleep_for(100ms);
+        promise.set_value(7);
+    });
     if (future.get() != 7) return 2;
     helper.join();
     print("promise");
     std::timed_mutex timed;
     timed.lock();
-    std::thread other([&] { if (timed.try_lock_for(100ms)) std::printf("not locked\n"); });
+    std::thread other([&] {
+        if (timed.try_lock_for(100ms)) std::printf("not locked\n");
+    });
     other.join();
     print("timed_mutex");
-    if (std::async(std::launch::async, [] { std::this_thread::sleep_for(100ms); return 3; }).get() != 3) return 3;
+    if (std::async(std::launch::async, [] {
+            std::this_thread::sleep_for(100ms);
+            return 3;
+        }).get() != 3)
+        return 3;
     print("async");
 }

@@ -1,5 +1,6 @@
 /* Does what its first argument names, against the rules of a program that shares a clock. */
 #define _GNU_SOURCE
+#include <fcntl.h>
 #include <linux/can.h>
 #include <linux/can/bcm.h>
 #include <poll.h>
@@ -19,6 +20,7 @@
 
 static pthread_mutex_t one = PTHREAD_MUTEX_INITIALIZER, two = PTHREAD_MUTEX_INITIALIZER;
 static atomic_int count;
+static int ends[2];
 
 static void *sleep_and_count(void *ms)
 {
@@ -73,6 +75,13 @@ static int run_thrd(void *unused)
 {
     (void)unused;
     return 0;
+}
+
+static void *write_late(void *unused)
+{
+    usleep(100000);
+    if (write(ends[1], "x", 1) == 1) count++;
+    return unused;
 }
 
 static void start(void *(*function)(void *), void *argument)
@@ -168,6 +177,10 @@ int main(int words, char **argument)
         int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK, CAN_RAW);
         while (now_s() < 1 && read(fd, threads, sizeof threads) < 0) continue;
         while (count++ < 1000000 && read(fd, threads, sizeof threads) < 0) continue;
+    } else if (!strcmp(act, "spin-pipe")) {
+        if (pipe2(ends, O_NONBLOCK)) return 9;
+        start(write_late, NULL);
+        while (read(ends[0], threads, 1) != 1) continue;
     } else if (!strcmp(act, "exec")) {
         sleep(1);
         execlp("true", "true", NULL);

@@ -1,4 +1,5 @@
-/* Three threads wait for one thing, which is given one at a time; prints who has had it, in order. */
+/* Three threads wait for one thing, which is given one at a time; prints who has had it, in order.
+ */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <linux/futex.h>
@@ -30,7 +31,8 @@ static void *take(void *number)
         pthread_mutex_unlock(&mutex);
     }
     if (!strcmp(kind, "semaphore")) sem_wait(&semaphore);
-    if (!strcmp(kind, "futex")) syscall(SYS_futex, &word, FUTEX_WAIT_BITSET, 0, NULL, NULL, 1u << (long)number);
+    if (!strcmp(kind, "futex"))
+        syscall(SYS_futex, &word, FUTEX_WAIT_BITSET, 0, NULL, NULL, 1u << (long)number);
     if (!strcmp(kind, "mutex")) pthread_mutex_lock(&held);
     if (!strcmp(kind, "rwlock")) pthread_rwlock_wrlock(&lock);
     if (!strcmp(kind, "eventfd") && read(events, &count, sizeof count) < 0) return NULL;

@@ -36,7 +36,10 @@ struct waiter {
 };
 
 static long second; /* at which the case begins, in the rig's time */
-static struct { int number; long us; } woken[THREADS];
+static struct {
+    int number;
+    long us;
+} woken[THREADS];
 static int woken_count;
 
 static void require(int holds, const char *what)
@@ -58,7 +61,8 @@ static void wait_timer(struct waiter *me, int is_relative, int how)
     uint64_t count = 0;
     if (is_relative) setting.it_value = (struct timespec){me->ms / 1000, me->ms % 1000 * 1000000};
     int timer = timerfd_create(CLOCK_MONOTONIC, how == 'p' ? TFD_NONBLOCK : 0);
-    require(!timerfd_settime(timer, is_relative ? 0 : TFD_TIMER_ABSTIME, &setting, NULL), "timerfd");
+    require(!timerfd_settime(timer, is_relative ? 0 : TFD_TIMER_ABSTIME, &setting, NULL),
+            "timerfd");
     if (how == 'p') {
         struct pollfd input = {.fd = timer, .events = POLLIN};
         require(poll(&input, 1, -1) == 1, "poll of a timer");
@@ -79,21 +83,41 @@ static void wait_long(struct waiter *me)
     struct timeval left_us = {me->ms / 1000, me->ms % 1000 * 1000};
     pthread_mutex_lock(&me->mutex);
     switch (me->kind) {
-    case 'c': require(pthread_cond_timedwait(&me->cond, &me->mutex, &real) == ETIMEDOUT, "cond"); break;
-    case 'm': require(pthread_cond_timedwait(&me->monotonic, &me->mutex, &uptime) == ETIMEDOUT, "monotonic cond"); break;
-    case 'w': require(pthread_cond_clockwait(&me->cond, &me->mutex, CLOCK_MONOTONIC, &uptime) == ETIMEDOUT, "clockwait"); break;
-    case 's': require(sem_timedwait(&me->semaphore, &real) < 0 && errno == ETIMEDOUT, "sem_timedwait"); break;
-    case 'k': require(sem_clockwait(&me->semaphore, CLOCK_MONOTONIC, &uptime) < 0 && errno == ETIMEDOUT, "sem_clockwait"); break;
+    case 'c':
+        require(pthread_cond_timedwait(&me->cond, &me->mutex, &real) == ETIMEDOUT, "cond");
+        break;
+    case 'm':
+        require(pthread_cond_timedwait(&me->monotonic, &me->mutex, &uptime) == ETIMEDOUT,
+                "monotonic cond");
+        break;
+    case 'w':
+        require(pthread_cond_clockwait(&me->cond, &me->mutex, CLOCK_MONOTONIC, &uptime) ==
+                    ETIMEDOUT,
+                "clockwait");
+        break;
+    case 's':
+        require(sem_timedwait(&me->semaphore, &real) < 0 && errno == ETIMEDOUT, "sem_timedwait");
+        break;
+    case 'k':
+        require(sem_clockwait(&me->semaphore, CLOCK_MONOTONIC, &uptime) < 0 && errno == ETIMEDOUT,
+                "sem_clockwait");
+        break;
     case 'n': nanosleep(&left, NULL); break;
     case 'a': clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &uptime, NULL); break;
     case 'p': require(poll(NULL, 0, me->ms) == 0, "poll"); break;
     case 'l': require(select(0, NULL, NULL, NULL, &left_us) == 0, "select"); break;
     case 'x': require(pthread_mutex_timedlock(&me->held, &real) == ETIMEDOUT, "mutex"); break;
-    case 'f': require(syscall(SYS_futex, &me->word, FUTEX_WAIT_BITSET, 0, &uptime, NULL, -1) < 0 && errno == ETIMEDOUT, "futex"); break;
+    case 'f':
+        require(syscall(SYS_futex, &me->word, FUTEX_WAIT_BITSET, 0, &uptime, NULL, -1) < 0 &&
+                    errno == ETIMEDOUT,
+                "futex");
+        break;
     case '1': wait_timer(me, 0, 'r'); break;
     case '2': wait_timer(me, 1, 'p'); break;
     case '3': wait_timer(me, 0, 'e'); break;
-    case 'C': while (!me->is_set) pthread_cond_wait(&me->cond, &me->mutex); break;
+    case 'C':
+        while (!me->is_set) pthread_cond_wait(&me->cond, &me->mutex);
+        break;
     case 'S': require(!sem_wait(&me->semaphore), "sem_wait"); break;
     case 'F': require(!syscall(SYS_futex, &me->word, FUTEX_WAIT, 0, NULL), "futex wake"); break;
     case 'R': require(read(me->pipe[0], &me->is_set, 1) == 1, "pipe"); break;
@@ -140,7 +164,8 @@ static void begin(struct waiter *me)
     sem_init(&me->semaphore, 0, 0);
     require(!pipe(me->pipe), "pipe");
     require(!pthread_create(&me->thread, NULL, run, me), "pthread_create");
-    if (strchr("CSFR", me->kind)) require(!pthread_create(&me->helper, NULL, end_wait, me), "helper");
+    if (strchr("CSFR", me->kind))
+        require(!pthread_create(&me->helper, NULL, end_wait, me), "helper");
 }
 
 static void finish(struct waiter *me)
@@ -167,7 +192,8 @@ int main(int count, char **words)
         }
         for (int i = 0; i < THREADS; i++) begin(&waiters[i]);
         for (int i = 0; i < THREADS; i++) finish(&waiters[i]);
-        for (int i = 0; i < woken_count; i++) printf(" %d:%ld", woken[i].number, woken[i].us / 1000);
+        for (int i = 0; i < woken_count; i++)
+            printf(" %d:%ld", woken[i].number, woken[i].us / 1000);
         printf("\n");
         struct timespec now;
         clock_gettime(CLOCK_MONOTONIC, &now);

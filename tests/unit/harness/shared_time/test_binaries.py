@@ -238,6 +238,7 @@ UNSUPPORTED = "not supported in the rig's time; expected"
         ("fork-can", None, ["a forked child of program 'a' uses its CAN socket", "child: 3"]),
         ("popen", None, ["a pipe of another process, which has the time of the wall", "poll: 0"]),
         ("no-sender", None, ["1000001 at 11 s"]),
+        ("spin-pipe", None, ["1 at 0 s"]),
         ("exec", "its connection has ended", ["has left the rig"]),
         ("leave-at-once", "its connection has ended", ["has left the rig"]),
         ("bcm", None, ["CAN_BCM (2): not supported", "Protocol not supported", "0 at 1 s"]),
