@@ -69,7 +69,12 @@ def preload(word: str, folder: Path, environment: Mapping[str, str]) -> str:
         if _is_python(path):
             return ""
         _require_dynamic(path)
-    return ":".join(filter(None, (str(library()), environment.get("LD_PRELOAD", ""))))
+    path = str(library())
+    if set(path) & set(" :"):
+        raise BinaryError(
+            f"{path}: LD_PRELOAD cannot name a path with a space or colon", "install it elsewhere"
+        )
+    return ":".join(filter(None, (path, environment.get("LD_PRELOAD", ""))))
 
 
 def _interpreters(path: Path) -> list[Path]:

@@ -60,7 +60,7 @@ struct thread {
     pthread_t id;
     pid_t task;     /* its number in the kernel */
     uint16_t party; /* its number on the connection */
-    bool waits, has_finished, is_cancelled;
+    bool waits, has_finished, is_cancelled, is_interrupted;
     sem_t baton;                         /* posted when it gets the turn */
     int64_t looked_ns, owed_ns, read_ns; /* last look at a clock: when, unpaid cost, value */
     void *(*start)(void *);

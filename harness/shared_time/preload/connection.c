@@ -358,11 +358,17 @@ void end_wait(struct wait *wait)
     send_record(&record, sizeof record);
 }
 
+/* Return whether another thread of the program has ended the wait of this one. */
+static bool is_disturbed(const struct thread *thread)
+{
+    return thread->is_cancelled || thread->is_interrupted;
+}
+
 static void send_idle(void)
 {
     struct counted record = {RECORD_IDLE, 0};
     for (struct wait *wait = rig.waits; wait && !record.number; wait = wait->next)
-        if (wait->holds(wait->subject) || (wait->is_cancellable && wait->thread->is_cancelled))
+        if (wait->holds(wait->subject) || (wait->is_cancellable && is_disturbed(wait->thread)))
             record.number = wait->number;
     send_record(&record, sizeof record);
 }
@@ -457,5 +463,7 @@ enum result wait_point(condition *holds, void *subject, int64_t deadline_ns, int
         pthread_testcancel();
         thread_here->is_cancelled = false; /* it has disabled cancellation */
     }
+    if (thread_here->is_interrupted) result = INTERRUPTED;
+    thread_here->is_interrupted = false;
     return result;
 }

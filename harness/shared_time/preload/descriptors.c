@@ -405,14 +405,22 @@ EXPORT int epoll_ctl(int epoll, int operation, int fd, struct epoll_event *event
 
 /* ---- reads and writes ------------------------------------------------------------------------ */
 
-/* Wait before a call that would block; only after joining, since a shell that reads from its
- * children does not join. Return false with errno if the wait was interrupted. */
+/* Wait before a call that would block. Only a socket joins the rig, since shells read from pipes of
+ * their children. Return false with errno if the wait ended without input. */
 bool await_input(int fd, int flags)
 {
     struct pollfd input = {.fd = fd, .events = POLLIN};
-    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits) return true;
+    struct timeval limit = {0};
+    socklen_t size = sizeof limit;
+    if (!in_rig() || !thread_here || thread_here->waits) return true;
     if (REAL(poll)(&input, 1, 0) || !is_blocking(fd, flags)) return true;
-    return wait_for_input(fd, NEVER) != INTERRUPTED || interrupted() == 0;
+    bool is_socket = REAL(getsockopt)(fd, SOL_SOCKET, SO_RCVTIMEO, &limit, &size) == 0;
+    if (rig.state == AWAITING && !is_socket) return true;
+    int64_t limit_ns = limit.tv_sec * (int64_t)NS_PER_S + limit.tv_usec * 1000;
+    enum result result = wait_for_input(fd, limit_ns ? deadline_after(limit_ns) : NEVER);
+    if (result == HOLDS) return true;
+    errno = result == EXPIRED ? EAGAIN : EINTR;
+    return false;
 }
 
 /* Charge a call that has found nothing, as a look at a clock: a loop of such calls ends. */

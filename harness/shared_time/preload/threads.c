@@ -12,6 +12,7 @@
 #include <limits.h>
 #include <linux/futex.h>
 #include <sched.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stdlib.h>
 #include <sys/syscall.h>
@@ -172,6 +173,31 @@ EXPORT int pthread_cancel(pthread_t id)
     return REAL(pthread_cancel)(id);
 }
 
+/* Let a signal with a handler end the wait of a thread, as one that arrives on the wall does. */
+static void interrupt(struct thread *thread, int number)
+{
+    struct sigaction action;
+    if (!thread || thread == thread_here || !thread->waits) return;
+    if (sigaction(number, NULL, &action) < 0) return;
+    bool is_handled = action.sa_handler != SIG_IGN && action.sa_handler != SIG_DFL;
+    thread->is_interrupted |= is_handled;
+}
+
+EXPORT int pthread_kill(pthread_t id, int number)
+{
+    int error = REAL(pthread_kill)(id, number);
+    if (!error && number && rig.state == JOINED && in_rig()) interrupt(*place_of(id), number);
+    return error;
+}
+
+EXPORT int kill(pid_t process, int number)
+{
+    int result = REAL(kill)(process, number);
+    bool is_own = rig.state == JOINED && process == rig.pid;
+    if (!result && number && is_own && in_rig()) interrupt(&first_thread, number);
+    return result;
+}
+
 EXPORT int sched_yield(void)
 {
     if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits)
@@ -274,6 +300,7 @@ static int cond_until(pthread_cond_t *cond, pthread_mutex_t *mutex, int64_t dead
     enum result result = wait_turn(is_woken, &mine, deadline_ns, ON_PARTIES | CANCELLABLE);
     error = lock_until(mutex, NEVER);
     if (thread_here->is_cancelled) pthread_testcancel();
+    thread_here->is_interrupted = false; /* which POSIX allows as a spurious end */
     return error ? error : result == EXPIRED ? ETIMEDOUT : 0;
 }
 

@@ -1,5 +1,6 @@
 /* Does what its first argument names, against the rules of a program that shares a clock. */
 #define _GNU_SOURCE
+#include <errno.h>
 #include <fcntl.h>
 #include <linux/can.h>
 #include <linux/can/bcm.h>
@@ -69,6 +70,12 @@ static void wait_in_handler(int signal)
 {
     (void)signal;
     sleep(1);
+}
+
+static void note_signal(int signal)
+{
+    (void)signal;
+    count++;
 }
 
 static int run_thrd(void *unused)
@@ -181,6 +188,19 @@ int main(int words, char **argument)
         if (pipe2(ends, O_NONBLOCK)) return 9;
         start(write_late, NULL);
         while (read(ends[0], threads, 1) != 1) continue;
+    } else if (!strcmp(act, "signals")) {
+        signal(SIGUSR1, note_signal);
+        start(signal_main, &self);
+        int ready = poll(NULL, 0, -1);
+        printf("poll: %d, interrupted: %d, signals: %d\n", ready, errno == EINTR, count);
+        start(signal_main, &self);
+        printf("sleep: %u s left\n", sleep(10));
+    } else if (!strcmp(act, "socket-timeout")) {
+        struct timeval limit = {.tv_sec = 2};
+        if (socketpair(AF_UNIX, SOCK_STREAM, 0, ends)) return 9;
+        if (setsockopt(ends[0], SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit)) return 9;
+        ssize_t size = recv(ends[0], threads, 1, 0);
+        printf("recv: %zd, timeout: %d\n", size, errno == EAGAIN);
     } else if (!strcmp(act, "exec")) {
         sleep(1);
         execlp("true", "true", NULL);

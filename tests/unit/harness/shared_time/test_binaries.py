@@ -239,6 +239,11 @@ UNSUPPORTED = "not supported in the rig's time; expected"
         ("popen", None, ["a pipe of another process, which has the time of the wall", "poll: 0"]),
         ("no-sender", None, ["1000001 at 11 s"]),
         ("spin-pipe", None, ["1 at 0 s"]),
+        (
+            *("signals", None),
+            ["poll: -1, interrupted: 1, signals: 1", "sleep: 9 s left", "2 at 2 s"],
+        ),
+        ("socket-timeout", None, ["recv: -1, timeout: 1", "0 at 2 s"]),
         ("exec", "its connection has ended", ["has left the rig"]),
         ("leave-at-once", "its connection has ended", ["has left the rig"]),
         ("bcm", None, ["CAN_BCM (2): not supported", "Protocol not supported", "0 at 1 s"]),
