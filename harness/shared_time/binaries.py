@@ -69,12 +69,12 @@ def preload(word: str, folder: Path, environment: Mapping[str, str]) -> str:
         if _is_python(path):
             return ""
         _require_dynamic(path)
-    path = str(library())
-    if set(path) & set(" :"):
+    place = str(library())
+    if set(place) & set(" :"):
         raise BinaryError(
-            f"{path}: LD_PRELOAD cannot name a path with a space or colon", "install it elsewhere"
+            f"{place}: LD_PRELOAD cannot name a path with a space or colon", "install it elsewhere"
         )
-    return ":".join(filter(None, (path, environment.get("LD_PRELOAD", ""))))
+    return ":".join(filter(None, (place, environment.get("LD_PRELOAD", ""))))
 
 
 def _interpreters(path: Path) -> list[Path]:

@@ -313,6 +313,12 @@ def test_without_compiler_the_run_is_refused_in_one_line(run, tmp_path, monkeypa
     assert "\n" not in str(told.value)
 
 
+def test_path_that_preload_cannot_name_is_refused(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(binaries, "library", lambda: tmp_path / "a b" / "library.so")
+    with pytest.raises(RigError, match="cannot name a path with a space or colon; install it"):
+        run(a=[compiled("sleeper", tmp_path)])
+
+
 def test_python_programs_need_no_library(tmp_path):
     script = tmp_path / "script"
     script.write_text("#!/usr/bin/env python3\n")
