@@ -1,6 +1,7 @@
 """Unmodified binaries as programs of a rig, in its virtual time."""
 
 import os
+import re
 import shutil
 import sys
 from functools import partial
@@ -299,6 +300,20 @@ def test_program_for_other_machine_is_refused_before_start(run, tmp_path):
     image[18] = 183 if image[18] != 183 else 62  # e_machine, ELF specification: AArch64, x86-64
     program.write_bytes(image)
     with pytest.raises(RigError, match=r"sleeper is for (AArch64|x86-64); expected one for this"):
+        run(a=[program])
+
+
+def test_program_of_go_or_musl_is_refused_before_start(run, tmp_path):
+    """By the marks that Go's linker and musl's loader leave, in a program that has neither."""
+    program = compiled("sleeper", tmp_path)
+    image = program.read_bytes()
+    program.write_bytes(image + b"\xff Go buildinf:")
+    with pytest.raises(RigError, match=r"sleeper is a Go program, which waits without the C lib"):
+        run(a=[program])
+    loader = re.search(rb"/lib[^\0]*/ld-linux[^\0]*", image)[0]
+    other = b"/lib/ld-musl-x86_64.so.1".ljust(len(loader), b"\0")
+    program.write_bytes(image.replace(loader, other))
+    with pytest.raises(RigError, match=r"sleeper uses another C library; build it with glibc"):
         run(a=[program])
 
 
