@@ -6,6 +6,7 @@ its .so.
 """
 
 import os
+import runpy
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -117,6 +118,13 @@ class EveryCore(build_ext):
             ext.extra_objects = [made for source in ext.sources for made in objects[source]]
             ext.depends, ext.sources = ext.sources, []  # compiled already
         super().build_extensions()
+        self._build_preloaded()
+
+    def _build_preloaded(self) -> None:
+        """Build the library that gives binaries the rig's time, with no module of the package."""
+        binaries = runpy.run_path("motorhil/harness/shared_time/binaries.py")
+        place = "motorhil/harness/shared_time/preload"
+        binaries["build"](Path(self.build_lib) / place / binaries["LIBRARY"])
 
     def _stale(self, ext: Extension) -> bool:
         return newer_group(ext.sources + ext.depends, self.get_ext_fullpath(ext.name), "newer")

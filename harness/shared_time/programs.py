@@ -1,8 +1,8 @@
 """The programs of a rig: started, given turns, watched and ended, each in a process of its own.
 
 Output is printed line by line, with the program's name before it, in the order of the turns. Python
-programs join before their first line; others join by `motorhil.join()`, or by the protocol of
-`motorhil.harness.shared_time.records`.
+programs join before their first line; binaries by a preloaded library, at their first wait. Others
+join by `motorhil.join()`, or by the protocol of `motorhil.harness.shared_time.records`.
 """
 
 import os
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.shared_time.binaries import BinaryError, preload
 from motorhil.harness.shared_time.shared_clock import (
     RIG_VARIABLE,
     SITE,
@@ -212,8 +213,11 @@ def _started(
             await_end=lambda name: processes[name].await_end(),
         )
         try:
+            preloads = _preloads(rig)
             for program in description.programs.values():
-                processes[program.name] = _start(rig, program, clock, Path(folder), tell)
+                processes[program.name] = _start(
+                    rig, program, clock, Path(folder), preloads[program.name], tell
+                )
                 clock.watch(processes[program.name].fd, processes[program.name].drain)
             yield processes, clock
         finally:
@@ -222,11 +226,28 @@ def _started(
             clock.close()
 
 
+def _preloads(rig: "Rig") -> dict[str, str]:
+    """Return LD_PRELOAD of each program, before the first one is started; "" for none."""
+    description = rig.description
+    folder = description.source.path.resolve().parent
+    found: dict[str, str] = {}
+    for program in description.programs.values():
+        try:
+            word = program.command[0]
+            found[program.name] = preload(word, folder, os.environ) if program.joins else ""
+        except BinaryError as error:
+            raise description.error(
+                ("program", program.name, "command"), error.problem, error.remedy
+            ) from None
+    return found
+
+
 def _start(
     rig: "Rig",
     program: "ProgramDescription",
     clock: SharedClock,
     folder: Path,
+    preloaded: str,
     tell: Callable[[str], None],
 ) -> _Process:
     source = rig.description.source.path.resolve()
@@ -240,6 +261,8 @@ def _start(
     }
     if program.joins:
         environment[VARIABLE] = f"{clock.path}#{program.name}"
+        if preloaded:
+            environment["LD_PRELOAD"] = preloaded
     word = program.command[0]
     try:
         return _Process(program, environment, source.parent, tell)

@@ -178,11 +178,14 @@ class SharedClock:
                 why = "ended before it joined" if dead else f"did not join within {JOIN_S:g} s"
                 raise JoinError(
                     f"program {who}: {why}; expected one that joins the rig's time: a Python"
-                    " program, or one that calls motorhil.join(); joins = false lets it run beside"
+                    " program, a binary that waits, or one that calls motorhil.join();"
+                    " joins = false lets it run beside"
                 )
             found = self._accept(missing)
             if found is not None:
                 joined[found.name] = found
+        self._listener.close()
+        self.path.chmod(0o400)  # tells a second process of a program that it is too late
         self._programs = [joined[name] for name in names]
         for program in self._programs:
             program.begin()

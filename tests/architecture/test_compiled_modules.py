@@ -29,6 +29,7 @@ INTERPRETED = {
         "harness/rig/rig.py",
         "harness/rig/stimuli.py",
         "harness/python_can/hardware_names.py",
+        "harness/shared_time/binaries.py",
         "harness/shared_time/programs.py",
         "harness/shared_time/remote_rig.py",
         "harness/shared_time/site/sitecustomize.py",

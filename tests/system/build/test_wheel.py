@@ -33,7 +33,7 @@ def test_wheel_contains_every_data_file(wheel):
         path.relative_to(CHECKOUT).as_posix()
         for package in (CHECKOUT / "motorhil").iterdir()
         for path in package.rglob("*")
-        if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js")
+        if path.suffix in (".toml", ".json", ".eds", ".binpb", ".html", ".css", ".js", ".c", ".h")
         or path.name == "py.typed"
     }
     assert "motorhil/harness/report/template/page.html" in wanted

@@ -1,0 +1,53 @@
+/* Functions that would wait or look at a clock, and are not supported: told by name.
+ *
+ * The library ends the program rather than let it run with two times. Before the program has
+ * joined a rig, and without one, they are those of the C library.
+ */
+#define _GNU_SOURCE
+#include "clock.h"
+
+#include <errno.h>
+
+/* By a name of the assembler, since headers declare each with its own types. */
+#define REFUSAL(call, remedy)                                                                    \
+    EXPORT long refused_##call(long a, long b, long c, long d, long e, long f) __asm__(#call);   \
+    EXPORT long refused_##call(long a, long b, long c, long d, long e, long f)                   \
+    {                                                                                            \
+        static long (*real)(long, long, long, long, long, long);                                 \
+        if (in_rig())                                                                            \
+            refuse("program '%s' calls %s(): not supported in the rig's time; %s; joins = false" \
+                   " lets the program run beside the rig",                                       \
+                   rig.name, #call, remedy);                                                     \
+        if (!real) real = (__typeof__(real))real_function(#call);                                \
+        if (real) return real(a, b, c, d, e, f);                                                 \
+        errno = ENOSYS;                                                                          \
+        return -1;                                                                               \
+    }
+
+REFUSAL(timer_create, "expected timerfd_create() or a thread that sleeps")
+REFUSAL(setitimer, "expected timerfd_create() or a thread that sleeps")
+REFUSAL(alarm, "expected timerfd_create() or a thread that sleeps")
+REFUSAL(ualarm, "expected timerfd_create() or a thread that sleeps")
+REFUSAL(clock_settime, "expected a clock that the rig sets")
+REFUSAL(settimeofday, "expected a clock that the rig sets")
+REFUSAL(adjtime, "expected a clock that the rig sets")
+REFUSAL(adjtimex, "expected a clock that the rig sets")
+REFUSAL(clock_adjtime, "expected a clock that the rig sets")
+REFUSAL(pause, "expected poll() of a descriptor")
+REFUSAL(sigsuspend, "expected ppoll() with a mask")
+REFUSAL(sigwait, "expected ppoll() with a mask")
+REFUSAL(sigwaitinfo, "expected ppoll() with a mask")
+REFUSAL(sigtimedwait, "expected ppoll() with a mask")
+REFUSAL(mq_receive, "expected a pipe")
+REFUSAL(mq_timedreceive, "expected a pipe")
+REFUSAL(mq_timedsend, "expected a pipe")
+REFUSAL(semop, "expected sem_wait()")
+REFUSAL(semtimedop, "expected sem_wait()")
+REFUSAL(msgrcv, "expected a pipe")
+REFUSAL(pthread_barrier_wait, "expected a condition variable")
+REFUSAL(thrd_create, "expected pthread_create()")
+REFUSAL(thrd_sleep, "expected nanosleep()")
+REFUSAL(cnd_timedwait, "expected pthread_cond_timedwait()")
+REFUSAL(mtx_timedlock, "expected pthread_mutex_timedlock()")
+REFUSAL(recvmmsg, "expected recvmsg()")
+REFUSAL(sendmmsg, "expected sendmsg()")

@@ -1,0 +1,25 @@
+"""C programs of the tests, compiled on first use."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SOURCES = Path(__file__).parent / "binaries"
+COMPILER = os.environ.get("CC", "cc")
+
+needs_compiler = pytest.mark.skipif(
+    shutil.which(COMPILER) is None, reason=f"needs a C compiler ({COMPILER})"
+)
+
+
+def compiled(name, folder, *flags):
+    """Return the path of a compiled program of tests/support/programs/binaries."""
+    source = next(SOURCES.glob(f"{name}.c*"))
+    target = folder / name
+    compiler = COMPILER if source.suffix == ".c" else os.environ.get("CXX", "c++")
+    command = [compiler, "-O1", "-Wall", "-Wextra", "-Werror", *flags, str(source)]
+    subprocess.run([*command, "-o", str(target), "-lpthread"], check=True, timeout=120)
+    return target
