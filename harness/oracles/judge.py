@@ -263,7 +263,8 @@ class Pass:
     def _listener(self, bus: str) -> BusListener:
         listener = self._buses.get(bus)
         if listener is None:
-            listener = self._buses[bus] = BusListener(bus, self._context, self._oracles)
+            others = [one for one in self._oracles if type(one) not in DRIVE_ORACLES]
+            listener = self._buses[bus] = BusListener(bus, self._context, others)
         return listener
 
     def _drives_on(self, bus: str) -> DriveListener:

@@ -929,7 +929,7 @@ def _reports(side: HostSide, reading: Reading, from_ns: int) -> Callable[[Line],
         if line.time_ns < from_ns:
             return False
         if line.said is None or line.identifier is None:  # not a frame of a CAN bus
-            return True
+            return line.message is None  # a serial line is not replayed
         is_stranger = (line.place, line.node) in reading.strangers
         return not is_stranger and not side.sent(line.said, line.direction)
 

@@ -67,8 +67,9 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
                 if cutter is None:
                     cutter = buses[place] = _cutter(place, begin_ns, names, any_set_point)
                 frame, direction, sender = frames.decode(payload)
-                known = [one.take(time_ns, frame, sender) for one in drives.get(place, ())]
-                if not any(known):
+                own = drives.get(place)
+                # Every drive takes a frame to all.
+                if own is None or True not in [one.take(time_ns, frame, sender) for one in own]:
                     cutter.take(time_ns, frame, direction, sender)
             elif kind == MODBUS_ADU.name:
                 values = decode(MODBUS_ADU, payload)
@@ -85,8 +86,8 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
     found: dict[tuple[str, int], ExchangeLog] = {}
     for bus, cutter in buses.items():
         found |= {(bus, number): log for number, log in cutter.logs().items()}
-        own = [one.finished() for one in drives.get(bus, ()) if one.has_sent]
-        found |= {(bus, log.number): log for log in own}
+        logs = [one.finished() for one in drives.get(bus, ()) if one.has_sent]
+        found |= {(bus, log.number): log for log in logs}
     for line, adus in lines.items():
         units = modbus_logs(line, adus, begin_ns)
         found |= {(line, unit): log for unit, log in units.items()}
