@@ -22,7 +22,13 @@ from motorhil.harness.rig.rig import Named, RigPlugins, describe, read_models
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
 from motorhil.harness.shared_time.remote_world import RemoteWorld
-from motorhil.harness.shared_time.shared_clock import JOIN_S, RIG_VARIABLE, SITE, VARIABLE
+from motorhil.harness.shared_time.shared_clock import (
+    JOIN_S,
+    OF_CHILDREN,
+    RIG_VARIABLE,
+    SITE,
+    VARIABLE,
+)
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 
@@ -57,7 +63,7 @@ class _Children:
             **environment,
             "PYTHONPATH": path,
             "PYTHONUNBUFFERED": "1",
-            VARIABLE: f"{self._place}#{self._name}/{self._count}",
+            VARIABLE: f"{self._place}{OF_CHILDREN}#{self._name}/{self._count}",
             RIG_VARIABLE: str(self._rig),
         }
 
@@ -203,5 +209,5 @@ def join() -> RemoteRig:
     except OSError as error:
         connection.close()
         raise UsageError(f"{path}: cannot join the rig: {error.strerror or error}") from None
-    _joined.append(RemoteRig(name, Path(rig), connection, path))
+    _joined.append(RemoteRig(name, Path(rig), connection, path.removesuffix(OF_CHILDREN)))
     return _joined[0]

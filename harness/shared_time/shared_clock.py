@@ -36,6 +36,8 @@ RIG_VARIABLE: Final = "MOTORHIL_RIG"
 """Environment variable of programs: the rig file."""
 SITE: Final = Path(__file__).parent / "site"
 """Folder on the PYTHONPATH of Python programs: they join before their first line."""
+OF_CHILDREN: Final = "-children"
+"""Appended to the clock's path: the socket that children join; the other is for the start."""
 JOIN_S: Final = 10.0
 _LOOK_S: Final = 0.1
 _GRACE_S: Final = 5.0
@@ -144,13 +146,8 @@ class SharedClock:
         self._programs: list[Participant] = []
         self._poll: Final[select.poll] = select.poll()
         self._outputs: dict[int, Callable[[], bool]] = {}
-        self._listener: Final[socket.socket] = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        mask = os.umask(0o177)
-        try:
-            self._listener.bind(str(path))
-        finally:
-            os.umask(mask)
-        self._listener.listen()
+        self._listener: Final[socket.socket] = _listener(path)
+        self._of_children: Final[socket.socket] = _listener(Path(f"{path}{OF_CHILDREN}"))
         self._tokens: dict[tuple[str, int], list[int]] = {}
         self._pids: dict[int, str] = {}
         self._children: dict[str, _Child] = {}
@@ -181,7 +178,7 @@ class SharedClock:
                     " program, a binary that waits, or one that calls motorhil.join();"
                     " joins = false lets it run beside"
                 )
-            found = self._accept(missing)
+            found = self._accept(self._listener, missing)
             if found is not None:
                 joined[found.name] = found
         self._listener.close()
@@ -190,15 +187,15 @@ class SharedClock:
         for program in self._programs:
             program.begin()
 
-    def _accept(self, missing: Sequence[str]) -> Participant | None:
-        door = self._listener.fileno()
+    def _accept(self, listener: socket.socket, missing: Sequence[str]) -> Participant | None:
+        door = listener.fileno()
         ready = select.select([door, *self._outputs], [], [], _LOOK_S)[0]
         for one in ready:
             if one != door:
                 self._take(one)
         if door not in ready:
             return None
-        connection, _ = self._listener.accept()
+        connection, _ = listener.accept()
         connection.settimeout(JOIN_S)
         try:
             record = connection.recv(records.RECORD_MAX)
@@ -242,7 +239,7 @@ class SharedClock:
             return "ended before it joined the rig's time"
         until_s = time.monotonic() + JOIN_S
         while time.monotonic() < until_s:
-            found = self._accept([] if is_full else [name])
+            found = self._accept(self._of_children, [] if is_full else [name])
             if found is not None:
                 self._children[name] = child
                 self._programs = [one for one in self._programs if not one.is_gone] + [found]
@@ -340,7 +337,21 @@ class SharedClock:
             child.end()
             os.close(child.fd)
         self._listener.close()
+        self._of_children.close()
         self.path.unlink(missing_ok=True)
+        Path(f"{self.path}{OF_CHILDREN}").unlink(missing_ok=True)
+
+
+def _listener(path: Path) -> socket.socket:
+    """Return a socket at this path, which only this user can connect to."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    mask = os.umask(0o177)
+    try:
+        listener.bind(str(path))
+    finally:
+        os.umask(mask)
+    listener.listen()
+    return listener
 
 
 def _refusal(record: bytes, missing: Sequence[str]) -> tuple[str, str]:
