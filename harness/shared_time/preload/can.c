@@ -13,6 +13,7 @@
 #include <linux/can.h>
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
+#include <linux/net_tstamp.h>
 #include <linux/sockios.h>
 #include <net/if.h>
 #include <stdlib.h>
@@ -42,8 +43,9 @@ enum { HEARD_HEAD = offsetof(struct heard, frame) };
 struct can_socket {
     struct descriptor descriptor;
     int index; /* of the interface; ALL_BUSES */
-    bool is_bound, hears_own, has_fd, joins_filters, stamps_us, stamps_ns, counts_lost;
-    bool has_loopback;
+    bool is_bound, hears_own, has_fd, joins_filters, has_loopback;
+    bool stamps_us, stamps_ns, counts_lost;
+    unsigned timestamping; /* SOF_TIMESTAMPING_... */
     can_err_mask_t error_mask;
     struct can_filter *filters;
     int filter_count;
@@ -298,6 +300,9 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     struct timeval time_us = {time.tv_sec, time.tv_nsec / 1000};
     if (socket->stamps_us) add_message(message, &used, SO_TIMESTAMP, &time_us, sizeof time_us);
     if (socket->stamps_ns) add_message(message, &used, SO_TIMESTAMPNS, &time, sizeof time);
+    struct timespec stamps[3] = {time}; /* by the software; the controller's are zero */
+    if (socket->timestamping & SOF_TIMESTAMPING_SOFTWARE)
+        add_message(message, &used, SO_TIMESTAMPING, stamps, sizeof stamps);
     if (socket->counts_lost && socket->lost)
         add_message(message, &used, SO_RXQ_OVFL, &socket->lost, sizeof socket->lost);
     message->msg_controllen = used;
@@ -442,6 +447,7 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
     if (level == SOL_SOCKET) switch (option) {
         case SO_TIMESTAMP: socket->stamps_us = number; return 0;
         case SO_TIMESTAMPNS: socket->stamps_ns = number; return 0;
+        case SO_TIMESTAMPING: socket->timestamping = number; return 0;
         case SO_RXQ_OVFL: socket->counts_lost = number; return 0;
         case SO_RCVTIMEO:
             if (size < sizeof(struct timeval)) return failed(EINVAL);
