@@ -99,7 +99,7 @@ static struct bus *bus_at(int index)
 
 EXPORT unsigned if_nametoindex(const char *name)
 {
-    if (rig.state == AWAITING && !strncmp(name, "can", 3)) join_rig(); /* which knows its buses */
+    if (in_rig() && rig.state == AWAITING) join_rig(); /* which tells its buses */
     int index = rig.state == JOINED ? index_of(name) : 0;
     return index ? (unsigned)index : REAL(if_nametoindex)(name);
 }
@@ -110,29 +110,36 @@ EXPORT char *if_indextoname(unsigned index, char name[IF_NAMESIZE])
     return bus ? strcpy(name, bus->name) : REAL(if_indextoname)(index, name);
 }
 
+/* Answer a query for an interface, on any socket; set *is_known if it is for a bus of the rig. */
+static int query_interface(unsigned long request, struct ifreq *query, bool *is_known)
+{
+    bool is_by_name = request != SIOCGIFNAME;
+    struct bus *bus = bus_at(is_by_name ? index_of(query->ifr_name) : query->ifr_ifindex);
+    if (!bus) return failed(ENODEV);
+    *is_known = true;
+    switch (request) {
+    case SIOCGIFINDEX: query->ifr_ifindex = index_of(bus->name); break;
+    case SIOCGIFNAME: strcpy(query->ifr_name, bus->name); break;
+    case SIOCGIFMTU: query->ifr_mtu = bus->is_fd ? CANFD_MTU : CAN_MTU; break;
+    default: query->ifr_flags = IFF_UP | IFF_RUNNING | IFF_NOARP;
+    }
+    return 0;
+}
+
 int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known)
 {
     struct can_socket *socket = can_of(fd);
-    struct ifreq *query = argument;
-    struct bus *bus;
+    bool is_query = request == SIOCGIFINDEX || request == SIOCGIFNAME || request == SIOCGIFMTU ||
+                    request == SIOCGIFFLAGS;
+    if (is_query && in_rig()) {
+        if (rig.state == AWAITING) join_rig(); /* which tells its buses */
+        int result = query_interface(request, argument, is_known);
+        *is_known |= socket != NULL;
+        return result;
+    }
     if (!socket) return 0;
     *is_known = true;
     switch (request) {
-    case SIOCGIFINDEX:
-        query->ifr_ifindex = index_of(query->ifr_name);
-        return query->ifr_ifindex ? 0 : failed(ENODEV);
-    case SIOCGIFNAME:
-        if (!(bus = bus_at(query->ifr_ifindex))) return failed(ENODEV);
-        strcpy(query->ifr_name, bus->name);
-        return 0;
-    case SIOCGIFMTU:
-    case SIOCGIFFLAGS:
-        if (!(bus = bus_at(index_of(query->ifr_name)))) return failed(ENODEV);
-        if (request == SIOCGIFMTU)
-            query->ifr_mtu = bus->is_fd ? CANFD_MTU : CAN_MTU;
-        else
-            query->ifr_flags = IFF_UP | IFF_RUNNING | IFF_NOARP;
-        return 0;
     case SIOCGSTAMP:
         if (!socket->stamp_ns) return failed(ENOENT);
         *(struct timeval *)argument =

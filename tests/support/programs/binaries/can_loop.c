@@ -12,6 +12,7 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/epoll.h>
+#include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <sys/time.h>
 #include <sys/timerfd.h>
@@ -95,6 +96,11 @@ int main(void)
             printf("next in %ld ms\n", setting.it_value.tv_nsec / 1000000);
         }
     }
+    struct ifreq query = {.ifr_name = "can0"}; /* on a socket of another family */
+    int other = socket(AF_UNIX, SOCK_DGRAM, 0);
+    if (ioctl(other, SIOCGIFINDEX, &query) || query.ifr_ifindex != (int)if_nametoindex("can0"))
+        return 9;
+    if (ioctl(other, SIOCGIFMTU, &query) || query.ifr_mtu != CAN_MTU) return 10;
     struct sockaddr_can nowhere = {.can_family = AF_CAN, .can_ifindex = 77};
     if (bind(own, (struct sockaddr *)&nowhere, sizeof nowhere) == 0 || errno != ENODEV) return 8;
     return 0;
