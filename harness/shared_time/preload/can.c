@@ -323,6 +323,10 @@ ssize_t can_send(int fd, const void *data, size_t size, const void *address, siz
     struct can_socket *socket = can_of(fd);
     const struct sockaddr_can *to = address;
     int index = socket->index;
+    if (thread_here && thread_here->waits)
+        refuse("program '%s' sends a frame in a signal handler; expected a flag that its main loop"
+               " looks at",
+               rig.name);
     if (to) {
         if (address_size < offsetof(struct sockaddr_can, can_addr) || to->can_family != AF_CAN)
             return failed(EINVAL);

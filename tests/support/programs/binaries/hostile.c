@@ -72,6 +72,12 @@ static void wait_in_handler(int signal)
     sleep(1);
 }
 
+static void send_in_handler(int signal)
+{
+    struct can_frame frame = {.can_id = 0x100 + signal};
+    if (write(ends[0], &frame, sizeof frame) < 0) perror("write");
+}
+
 static void note_signal(int signal)
 {
     (void)signal;
@@ -156,6 +162,13 @@ int main(int words, char **argument)
         sleep(1);
     } else if (!strcmp(act, "handler")) {
         signal(SIGUSR1, wait_in_handler);
+        start(signal_main, &self);
+        sleep(100);
+    } else if (!strcmp(act, "handler-sends")) {
+        struct sockaddr_can all = {.can_family = AF_CAN};
+        ends[0] = socket(PF_CAN, SOCK_RAW, CAN_RAW);
+        if (bind(ends[0], (struct sockaddr *)&all, sizeof all)) return 9;
+        signal(SIGUSR1, send_in_handler);
         start(signal_main, &self);
         sleep(100);
     } else if (!strcmp(act, "fork")) {

@@ -235,6 +235,7 @@ UNSUPPORTED = "not supported in the rig's time; expected"
         ("close-all", None, ["0 at 2 s"]),
         ("close-all-raw", "exit status 3", ["the rig has ended", "has left the rig"]),
         ("handler", "exit status 3", ["'a' waits in a signal handler"]),
+        ("handler-sends", "exit status 3", ["'a' sends a frame in a signal handler"]),
         ("fork", None, ["a forked child of program 'a' has the time of the wall", "0 at 2 s"]),
         ("fork-can", None, ["a forked child of program 'a' uses its CAN socket", "child: 3"]),
         ("popen", None, ["a pipe of another process, which has the time of the wall", "poll: 0"]),
