@@ -6,6 +6,7 @@
  *   connection.c   the connection to the rig, its records, and the turns of the program's threads
  *   clocks.c       clocks and sleeps
  *   threads.c      threads, and waits of one thread for another
+ *   c11_threads.c threads of C11, by those of POSIX
  *   descriptors.c  waits for file descriptors, and timers that are descriptors
  *   can.c          CAN sockets
  *   refusals.c     what is not supported, told by name

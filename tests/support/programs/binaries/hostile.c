@@ -15,7 +15,6 @@
 #include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
-#include <threads.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -84,12 +83,6 @@ static void note_signal(int signal)
     count++;
 }
 
-static int run_thrd(void *unused)
-{
-    (void)unused;
-    return 0;
-}
-
 static void *write_late(void *unused)
 {
     usleep(100000);
@@ -114,7 +107,7 @@ int main(int words, char **argument)
 {
     const char *act = words > 1 ? argument[1] : "";
     pthread_t threads[200], self = pthread_self();
-    thrd_t thrd;
+    pthread_barrier_t barrier;
     if (!strcmp(act, "spin-clock")) {
         while (now_s() < 20) continue;
     } else if (!strcmp(act, "spin-yield")) {
@@ -227,8 +220,9 @@ int main(int words, char **argument)
         pthread_mutex_lock(&two);
     } else if (!strcmp(act, "alarm")) {
         alarm(1);
-    } else if (!strcmp(act, "thrd")) {
-        thrd_create(&thrd, run_thrd, NULL);
+    } else if (!strcmp(act, "barrier")) {
+        pthread_barrier_init(&barrier, NULL, 2);
+        pthread_barrier_wait(&barrier);
     } else if (!strcmp(act, "bcm")) {
         sleep(1);
         if (socket(PF_CAN, SOCK_DGRAM, CAN_BCM) < 0) perror("socket");
