@@ -91,7 +91,7 @@ static int index_of(const char *name)
     return 0;
 }
 
-static struct bus *bus_at(int index)
+struct bus *bus_at(int index)
 {
     int place = index - FIRST_INDEX;
     return place >= 0 && place < rig.bus_count ? &rig.buses[place] : NULL;
@@ -287,6 +287,12 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     struct can_socket *socket = can_of(fd);
     struct heard heard;
     size_t done = 0, used = 0;
+    if (!socket && message->msg_iovlen) {
+        struct iovec *part = message->msg_iov;
+        ssize_t taken = take_netlink(fd, part->iov_base, part->iov_len, flags, message->msg_name,
+                                     &message->msg_namelen);
+        if (taken >= 0) return taken;
+    }
     if (!socket) return await_input(fd, flags) ? charged(REAL(recvmsg)(fd, message, flags)) : -1;
     ssize_t size = take(fd, socket, &heard, flags);
     if (size < 0) return -1;
@@ -348,7 +354,12 @@ EXPORT ssize_t sendmsg(int fd, const struct msghdr *message, int flags)
 {
     uint8_t frame[CANFD_MTU];
     size_t size = 0;
-    if (!is_can(fd)) return REAL(sendmsg)(fd, message, flags);
+    if (!is_can(fd)) {
+        ssize_t whole = 0;
+        if (!answer_netlink(fd, message)) return REAL(sendmsg)(fd, message, flags);
+        for (size_t i = 0; i < message->msg_iovlen; i++) whole += message->msg_iov[i].iov_len;
+        return whole;
+    }
     for (size_t i = 0; i < message->msg_iovlen; i++) {
         struct iovec *part = &message->msg_iov[i];
         if (part->iov_len > sizeof frame - size) return failed(EINVAL);

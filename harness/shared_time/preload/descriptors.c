@@ -455,6 +455,8 @@ EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags,
                         struct sockaddr *restrict address, socklen_t *restrict address_size)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, address, address_size);
+    ssize_t taken = take_netlink(fd, data, size, flags, address, address_size);
+    if (taken >= 0) return taken;
     return await_input(fd, flags)
                ? charged(REAL(recvfrom)(fd, data, size, flags, address, address_size))
                : -1;
@@ -463,6 +465,8 @@ EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags,
 EXPORT ssize_t recv(int fd, void *data, size_t size, int flags)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, NULL, NULL);
+    ssize_t taken = take_netlink(fd, data, size, flags, NULL, NULL);
+    if (taken >= 0) return taken;
     return await_input(fd, flags) ? charged(REAL(recv)(fd, data, size, flags)) : -1;
 }
 

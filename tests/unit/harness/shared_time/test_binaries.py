@@ -178,6 +178,12 @@ def test_threads_of_c11_end_in_virtual_time(run, tmp_path):
     assert lines == ["a: woken at 3 s", "a: ended at 3 s"]
 
 
+def test_question_for_can_interface_by_netlink_is_answered(run, tmp_path):
+    lines, wrong, _ = run(a=[compiled("netlink_query", tmp_path)])
+    assert wrong == {}
+    assert lines == ["a: type CAN", "a: name can0", "a: MTU 16", "a: kind can", "a: error 0"]
+
+
 def test_event_loop_with_timer_and_can_sockets_twice_the_same(run, tmp_path):
     runs = [run(a=[compiled("can_loop", tmp_path)]) for _ in range(2)]
     lines, wrong, _ = runs[0]
