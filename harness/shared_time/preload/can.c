@@ -13,6 +13,7 @@
 #include <linux/can.h>
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
+#include <linux/net_tstamp.h>
 #include <linux/sockios.h>
 #include <net/if.h>
 #include <stdlib.h>
@@ -42,8 +43,9 @@ enum { HEARD_HEAD = offsetof(struct heard, frame) };
 struct can_socket {
     struct descriptor descriptor;
     int index; /* of the interface; ALL_BUSES */
-    bool is_bound, hears_own, has_fd, joins_filters, stamps_us, stamps_ns, counts_lost;
-    bool has_loopback;
+    bool is_bound, hears_own, has_fd, joins_filters, has_loopback;
+    bool stamps_us, stamps_ns, counts_lost;
+    unsigned timestamping; /* SOF_TIMESTAMPING_... */
     can_err_mask_t error_mask;
     struct can_filter *filters;
     int filter_count;
@@ -89,7 +91,7 @@ static int index_of(const char *name)
     return 0;
 }
 
-static struct bus *bus_at(int index)
+struct bus *bus_at(int index)
 {
     int place = index - FIRST_INDEX;
     return place >= 0 && place < rig.bus_count ? &rig.buses[place] : NULL;
@@ -97,7 +99,7 @@ static struct bus *bus_at(int index)
 
 EXPORT unsigned if_nametoindex(const char *name)
 {
-    if (rig.state == AWAITING && !strncmp(name, "can", 3)) join_rig(); /* which knows its buses */
+    if (in_rig() && rig.state == AWAITING) join_rig(); /* which tells its buses */
     int index = rig.state == JOINED ? index_of(name) : 0;
     return index ? (unsigned)index : REAL(if_nametoindex)(name);
 }
@@ -108,29 +110,36 @@ EXPORT char *if_indextoname(unsigned index, char name[IF_NAMESIZE])
     return bus ? strcpy(name, bus->name) : REAL(if_indextoname)(index, name);
 }
 
+/* Answer a query for an interface, on any socket; set *is_known if it is for a bus of the rig. */
+static int query_interface(unsigned long request, struct ifreq *query, bool *is_known)
+{
+    bool is_by_name = request != SIOCGIFNAME;
+    struct bus *bus = bus_at(is_by_name ? index_of(query->ifr_name) : query->ifr_ifindex);
+    if (!bus) return failed(ENODEV);
+    *is_known = true;
+    switch (request) {
+    case SIOCGIFINDEX: query->ifr_ifindex = index_of(bus->name); break;
+    case SIOCGIFNAME: strcpy(query->ifr_name, bus->name); break;
+    case SIOCGIFMTU: query->ifr_mtu = bus->is_fd ? CANFD_MTU : CAN_MTU; break;
+    default: query->ifr_flags = IFF_UP | IFF_RUNNING | IFF_NOARP;
+    }
+    return 0;
+}
+
 int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known)
 {
     struct can_socket *socket = can_of(fd);
-    struct ifreq *query = argument;
-    struct bus *bus;
+    bool is_query = request == SIOCGIFINDEX || request == SIOCGIFNAME || request == SIOCGIFMTU ||
+                    request == SIOCGIFFLAGS;
+    if (is_query && in_rig()) {
+        if (rig.state == AWAITING) join_rig(); /* which tells its buses */
+        int result = query_interface(request, argument, is_known);
+        *is_known |= socket != NULL;
+        return result;
+    }
     if (!socket) return 0;
     *is_known = true;
     switch (request) {
-    case SIOCGIFINDEX:
-        query->ifr_ifindex = index_of(query->ifr_name);
-        return query->ifr_ifindex ? 0 : failed(ENODEV);
-    case SIOCGIFNAME:
-        if (!(bus = bus_at(query->ifr_ifindex))) return failed(ENODEV);
-        strcpy(query->ifr_name, bus->name);
-        return 0;
-    case SIOCGIFMTU:
-    case SIOCGIFFLAGS:
-        if (!(bus = bus_at(index_of(query->ifr_name)))) return failed(ENODEV);
-        if (request == SIOCGIFMTU)
-            query->ifr_mtu = bus->is_fd ? CANFD_MTU : CAN_MTU;
-        else
-            query->ifr_flags = IFF_UP | IFF_RUNNING | IFF_NOARP;
-        return 0;
     case SIOCGSTAMP:
         if (!socket->stamp_ns) return failed(ENOENT);
         *(struct timeval *)argument =
@@ -278,6 +287,12 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     struct can_socket *socket = can_of(fd);
     struct heard heard;
     size_t done = 0, used = 0;
+    if (!socket && message->msg_iovlen) {
+        struct iovec *part = message->msg_iov;
+        ssize_t taken = take_netlink(fd, part->iov_base, part->iov_len, flags, message->msg_name,
+                                     &message->msg_namelen);
+        if (taken >= 0) return taken;
+    }
     if (!socket) return await_input(fd, flags) ? charged(REAL(recvmsg)(fd, message, flags)) : -1;
     ssize_t size = take(fd, socket, &heard, flags);
     if (size < 0) return -1;
@@ -298,6 +313,9 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     struct timeval time_us = {time.tv_sec, time.tv_nsec / 1000};
     if (socket->stamps_us) add_message(message, &used, SO_TIMESTAMP, &time_us, sizeof time_us);
     if (socket->stamps_ns) add_message(message, &used, SO_TIMESTAMPNS, &time, sizeof time);
+    struct timespec stamps[3] = {time}; /* by the software; the controller's are zero */
+    if (socket->timestamping & SOF_TIMESTAMPING_SOFTWARE)
+        add_message(message, &used, SO_TIMESTAMPING, stamps, sizeof stamps);
     if (socket->counts_lost && socket->lost)
         add_message(message, &used, SO_RXQ_OVFL, &socket->lost, sizeof socket->lost);
     message->msg_controllen = used;
@@ -311,6 +329,10 @@ ssize_t can_send(int fd, const void *data, size_t size, const void *address, siz
     struct can_socket *socket = can_of(fd);
     const struct sockaddr_can *to = address;
     int index = socket->index;
+    if (thread_here && thread_here->waits)
+        refuse("program '%s' sends a frame in a signal handler; expected a flag that its main loop"
+               " looks at",
+               rig.name);
     if (to) {
         if (address_size < offsetof(struct sockaddr_can, can_addr) || to->can_family != AF_CAN)
             return failed(EINVAL);
@@ -332,7 +354,12 @@ EXPORT ssize_t sendmsg(int fd, const struct msghdr *message, int flags)
 {
     uint8_t frame[CANFD_MTU];
     size_t size = 0;
-    if (!is_can(fd)) return REAL(sendmsg)(fd, message, flags);
+    if (!is_can(fd)) {
+        ssize_t whole = 0;
+        if (!answer_netlink(fd, message)) return REAL(sendmsg)(fd, message, flags);
+        for (size_t i = 0; i < message->msg_iovlen; i++) whole += message->msg_iov[i].iov_len;
+        return whole;
+    }
     for (size_t i = 0; i < message->msg_iovlen; i++) {
         struct iovec *part = &message->msg_iov[i];
         if (part->iov_len > sizeof frame - size) return failed(EINVAL);
@@ -442,6 +469,7 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
     if (level == SOL_SOCKET) switch (option) {
         case SO_TIMESTAMP: socket->stamps_us = number; return 0;
         case SO_TIMESTAMPNS: socket->stamps_ns = number; return 0;
+        case SO_TIMESTAMPING: socket->timestamping = number; return 0;
         case SO_RXQ_OVFL: socket->counts_lost = number; return 0;
         case SO_RCVTIMEO:
             if (size < sizeof(struct timeval)) return failed(EINVAL);

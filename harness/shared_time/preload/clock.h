@@ -6,8 +6,10 @@
  *   connection.c   the connection to the rig, its records, and the turns of the program's threads
  *   clocks.c       clocks and sleeps
  *   threads.c      threads, and waits of one thread for another
+ *   c11_threads.c threads of C11, by those of POSIX
  *   descriptors.c  waits for file descriptors, and timers that are descriptors
  *   can.c          CAN sockets
+ *   netlink.c     questions for CAN interfaces
  *   refusals.c     what is not supported, told by name
  *
  * Rules of turn, as in motorhil/harness/virtual_time/runtime.py:
@@ -158,6 +160,12 @@ void close_can(struct can_socket *socket);
 bool is_can(int fd);
 ssize_t can_receive(int fd, void *data, size_t size, int flags, void *address, void *address_size);
 ssize_t can_send(int fd, const void *data, size_t size, const void *address, size_t address_size);
+struct bus *bus_at(int index);
 int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
+
+/* netlink.c */
+struct msghdr;
+bool answer_netlink(int fd, const struct msghdr *message);
+ssize_t take_netlink(int fd, void *data, size_t size, int flags, void *address, void *address_size);
 
 #endif

@@ -65,7 +65,11 @@ struct descriptor *descriptor_of(int fd)
 
 void keep(int fd, struct descriptor *descriptor)
 {
-    if (fd < 0 || fd >= DESCRIPTORS_MAX) return;
+    if (fd < 0) return;
+    if (fd >= DESCRIPTORS_MAX)
+        refuse("program '%s': descriptor %d: too large for a timer or a CAN socket; expected less"
+               " than %d",
+               rig.name, fd, DESCRIPTORS_MAX);
     descriptors[fd] = descriptor;
     is_told[fd] = false;
     if (descriptor) descriptor->references++;
@@ -136,7 +140,7 @@ EXPORT void closefrom(int first)
 
 static int duplicate(int fd, int copy)
 {
-    if (copy >= 0 && copy != fd) keep(copy, descriptor_of(fd));
+    if (copy >= 0 && copy != fd && copy < DESCRIPTORS_MAX) keep(copy, descriptor_of(fd));
     return copy;
 }
 
@@ -356,7 +360,9 @@ EXPORT int select(int count, fd_set *restrict in, fd_set *restrict out, fd_set *
     struct timespec time;
     if (!in_rig()) return REAL(select)(count, in, out, urgent, timeout);
     int64_t from_ns = rig.now_ns;
-    if (timeout) time = (struct timespec){timeout->tv_sec, timeout->tv_usec * 1000};
+    if (timeout) /* with more than 10^6 us, as Linux allows */
+        time = (struct timespec){timeout->tv_sec + timeout->tv_usec / 1000000,
+                                 timeout->tv_usec % 1000000 * 1000};
     int ready = pselect(count, in, out, urgent, timeout ? &time : NULL, NULL);
     if (timeout) { /* Linux leaves what is left of it */
         int64_t left_ns = duration_ns(&time) - (rig.now_ns - from_ns);
@@ -449,6 +455,8 @@ EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags,
                         struct sockaddr *restrict address, socklen_t *restrict address_size)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, address, address_size);
+    ssize_t taken = take_netlink(fd, data, size, flags, address, address_size);
+    if (taken >= 0) return taken;
     return await_input(fd, flags)
                ? charged(REAL(recvfrom)(fd, data, size, flags, address, address_size))
                : -1;
@@ -457,6 +465,8 @@ EXPORT ssize_t recvfrom(int fd, void *restrict data, size_t size, int flags,
 EXPORT ssize_t recv(int fd, void *data, size_t size, int flags)
 {
     if (is_can(fd)) return can_receive(fd, data, size, flags, NULL, NULL);
+    ssize_t taken = take_netlink(fd, data, size, flags, NULL, NULL);
+    if (taken >= 0) return taken;
     return await_input(fd, flags) ? charged(REAL(recv)(fd, data, size, flags)) : -1;
 }
 

@@ -32,12 +32,12 @@ int main()
     auto future = promise.get_future();
     if (future.wait_for(100ms) != std::future_status::timeout) return 1;
     print("future");
-    std::thread helper([&] {
+    std::thread sender([&] {
         std::this_thread::sleep_for(100ms);
         promise.set_value(7);
     });
     if (future.get() != 7) return 2;
-    helper.join();
+    sender.join();
     print("promise");
     std::timed_mutex timed;
     timed.lock();

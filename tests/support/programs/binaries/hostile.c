@@ -15,7 +15,6 @@
 #include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
-#include <threads.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -72,16 +71,16 @@ static void wait_in_handler(int signal)
     sleep(1);
 }
 
+static void send_in_handler(int signal)
+{
+    struct can_frame frame = {.can_id = 0x100 + signal};
+    if (write(ends[0], &frame, sizeof frame) < 0) perror("write");
+}
+
 static void note_signal(int signal)
 {
     (void)signal;
     count++;
-}
-
-static int run_thrd(void *unused)
-{
-    (void)unused;
-    return 0;
 }
 
 static void *write_late(void *unused)
@@ -108,7 +107,7 @@ int main(int words, char **argument)
 {
     const char *act = words > 1 ? argument[1] : "";
     pthread_t threads[200], self = pthread_self();
-    thrd_t thrd;
+    pthread_barrier_t barrier;
     if (!strcmp(act, "spin-clock")) {
         while (now_s() < 20) continue;
     } else if (!strcmp(act, "spin-yield")) {
@@ -156,6 +155,13 @@ int main(int words, char **argument)
         sleep(1);
     } else if (!strcmp(act, "handler")) {
         signal(SIGUSR1, wait_in_handler);
+        start(signal_main, &self);
+        sleep(100);
+    } else if (!strcmp(act, "handler-sends")) {
+        struct sockaddr_can all = {.can_family = AF_CAN};
+        ends[0] = socket(PF_CAN, SOCK_RAW, CAN_RAW);
+        if (bind(ends[0], (struct sockaddr *)&all, sizeof all)) return 9;
+        signal(SIGUSR1, send_in_handler);
         start(signal_main, &self);
         sleep(100);
     } else if (!strcmp(act, "fork")) {
@@ -214,8 +220,9 @@ int main(int words, char **argument)
         pthread_mutex_lock(&two);
     } else if (!strcmp(act, "alarm")) {
         alarm(1);
-    } else if (!strcmp(act, "thrd")) {
-        thrd_create(&thrd, run_thrd, NULL);
+    } else if (!strcmp(act, "barrier")) {
+        pthread_barrier_init(&barrier, NULL, 2);
+        pthread_barrier_wait(&barrier);
     } else if (!strcmp(act, "bcm")) {
         sleep(1);
         if (socket(PF_CAN, SOCK_DGRAM, CAN_BCM) < 0) perror("socket");

@@ -27,7 +27,7 @@ struct waiter {
     char kind;
     long ms;
     int number;
-    pthread_t thread, helper;
+    pthread_t thread, ender;
     pthread_mutex_t mutex, held;
     pthread_cond_t cond, monotonic;
     sem_t semaphore;
@@ -165,13 +165,13 @@ static void begin(struct waiter *me)
     require(!pipe(me->pipe), "pipe");
     require(!pthread_create(&me->thread, NULL, run, me), "pthread_create");
     if (strchr("CSFR", me->kind))
-        require(!pthread_create(&me->helper, NULL, end_wait, me), "helper");
+        require(!pthread_create(&me->ender, NULL, end_wait, me), "ender");
 }
 
 static void finish(struct waiter *me)
 {
     require(!pthread_join(me->thread, NULL), "join");
-    if (strchr("CSFR", me->kind)) require(!pthread_join(me->helper, NULL), "join");
+    if (strchr("CSFR", me->kind)) require(!pthread_join(me->ender, NULL), "join");
     close(me->pipe[0]);
     close(me->pipe[1]);
 }

@@ -171,6 +171,18 @@ def test_waits_of_cpp_library_end_in_virtual_time(run, tmp_path):
     assert lines == [f"a: {wait} {100 * number}" for number, wait in enumerate(waits, 1)]
 
 
+def test_threads_of_c11_end_in_virtual_time(run, tmp_path):
+    lines, wrong, _ = run(a=[compiled("c11_waits", tmp_path)])
+    assert wrong == {}
+    assert lines == ["a: woken at 3 s", "a: ended at 3 s"]
+
+
+def test_question_for_can_interface_by_netlink_is_answered(run, tmp_path):
+    lines, wrong, _ = run(a=[compiled("netlink_query", tmp_path)])
+    assert wrong == {}
+    assert lines == ["a: type CAN", "a: name can0", "a: MTU 16", "a: kind can", "a: error 0"]
+
+
 def test_event_loop_with_timer_and_can_sockets_twice_the_same(run, tmp_path):
     runs = [run(a=[compiled("can_loop", tmp_path)]) for _ in range(2)]
     lines, wrong, _ = runs[0]
@@ -234,6 +246,7 @@ UNSUPPORTED = "not supported in the rig's time; expected"
         ("close-all", None, ["0 at 2 s"]),
         ("close-all-raw", "exit status 3", ["the rig has ended", "has left the rig"]),
         ("handler", "exit status 3", ["'a' waits in a signal handler"]),
+        ("handler-sends", "exit status 3", ["'a' sends a frame in a signal handler"]),
         ("fork", None, ["a forked child of program 'a' has the time of the wall", "0 at 2 s"]),
         ("fork-can", None, ["a forked child of program 'a' uses its CAN socket", "child: 3"]),
         ("popen", None, ["a pipe of another process, which has the time of the wall", "poll: 0"]),
@@ -258,7 +271,10 @@ def test_hostile_program_is_told_by_name_and_ends(run, tmp_path, act, end, told)
 
 @pytest.mark.parametrize(
     ("act", "told"),
-    [("alarm", f"calls alarm(): {UNSUPPORTED}"), ("thrd", f"calls thrd_create(): {UNSUPPORTED}")],
+    [
+        ("alarm", f"calls alarm(): {UNSUPPORTED}"),
+        ("barrier", f"calls pthread_barrier_wait(): {UNSUPPORTED}"),
+    ],
 )
 def test_unsupported_call_before_joining_ends_the_run(run, tmp_path, act, told):
     lines = []
