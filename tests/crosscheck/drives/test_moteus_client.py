@@ -3,6 +3,7 @@
 import asyncio
 import signal
 import subprocess
+import time
 
 import can
 import moteus
@@ -56,7 +57,8 @@ async def talk(path):
         target = {"position": 2.0, "velocity_limit": 8.0, "accel_limit": 40.0}
         state = await drive.set_position(**target, query=True)
         complete = drive.make_custom_query({moteus.Register.TRAJECTORY_COMPLETE: moteus.INT8})
-        for _ in range(1000):
+        end_s = time.monotonic() + LONG_S
+        while time.monotonic() < end_s:  # a fast machine asks often
             (heard,) = await transport.cycle([complete])
             if heard.values[moteus.Register.TRAJECTORY_COMPLETE] and state is not None:
                 state = await drive.query()
