@@ -91,7 +91,7 @@ def _expect_fault(motor: Motor, code: int) -> None:
     source="Motor.wait_until_done: DeviceFault, the drive has a fault; CiA 402-2, FAULT",
 )
 def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
-    """During a motion, a fault ends the wait with its error code and becomes the state."""
+    """During a motion, a fault ends the wait with its code and time, and becomes the state."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     begin = begin_move(bench, motor, way, 0.4 * shortest_s(motor, way))
     reached(abs(position_of(bench, motor) - begin) > 0.05 * way, "a motion before the fault")
@@ -108,7 +108,19 @@ def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
         f"the wait ended {late_s:.3f} s after the fault",
     )
     _expect_fault(motor, code)
-    _raised("the second wait", lambda: finish(bench, motor))
+    again = _raised("the second wait", lambda: finish(bench, motor))
+    rest_for(bench, _BACK_S)
+    later = _raised("start() with the fault", motor.start)
+    fault = motor.fault()
+    told = (error, again, later) if fault is None else (error, again, later, fault)
+    times = [(one.since_ns - failed_ns) / 1e9 for one in told]
+    shown = ", ".join(f"{one:g} s" for one in times)
+    tolerance_s = bench.facts.time_tolerance_s
+    expect(
+        -tolerance_s <= times[0] <= late_s + tolerance_s and len(set(times)) == 1,
+        "one fault, told by the wait, a second wait, start() and fault(), began"
+        f" {shown} after its cause; expected one time, within {late_s:g} s",
+    )
 
 
 @clause(
