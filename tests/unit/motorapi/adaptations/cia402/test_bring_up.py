@@ -179,6 +179,17 @@ def test_bring_up_disables_other_tpdos(rig: Rig):
     hw.close()
 
 
+@pytest.mark.parametrize("period_ms", [0, 10])
+def test_bring_up_disables_tpdo_3_beside_velocity(open_rig: OpenRig, period_ms: int):
+    rig = open_rig(drive("left", 1, "objects = { '1802h:1' = 0x381 }"))
+    hw = Cia402HwMotor(rig.bus("can0"), 1, options=HwOptions(velocity_period_ms=period_ms))
+    hw.connect()
+    cob_id = hw.read(0x1802, 1)
+    assert isinstance(cob_id, int)
+    assert cob_id & 0x8000_0000
+    hw.close()
+
+
 def test_drive_with_fixed_pdos_is_polled_by_sdo(open_rig: OpenRig):
     rig = open_rig(drive("left", 1), drive("right", 2))
     hw = Cia402HwMotor(rig.bus("can0"), 1)
