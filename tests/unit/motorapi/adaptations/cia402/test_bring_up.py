@@ -118,6 +118,15 @@ def test_second_program_writes_nothing_and_stops_nothing(rig: Rig):
     second.close()
 
 
+def test_status_in_words_names_its_state(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    hw.connect()
+    assert "(switch on disabled), position 0 increments" in hw.node.describe_status()
+    hw.node.statusword = 0x4E  # no state of the standard
+    assert "(no state of CiA 402)" in hw.node.describe_status()
+    hw.close()
+
+
 def test_second_connect_sends_nothing(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     facts = hw.connect()
