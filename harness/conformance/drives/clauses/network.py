@@ -7,7 +7,7 @@ from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.drive import BOOT_S, STATE_S, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Mode, State
+from motorhil.harness.conformance.drives.objects import Entry, Mode, State
 
 START: Final = 0x01
 STOP: Final = 0x02
@@ -60,11 +60,13 @@ def boot_up(bench: DriveBench) -> None:
 
 @drive_clause("NMT-02", Level.L0, source="CiA 301, 7.2.8.3.2, NMT state machine; 7.2.8.3.1")
 def nmt_states(bench: DriveBench) -> None:
-    """NMT commands change the state in the heartbeat; a stopped node answers no SDO request."""
+    """NMT commands change the state in the heartbeat; a stopped node answers no SDO, nor later."""
     drive = bench.drive
     drive.require(od.HEARTBEAT_PRODUCER)
     drive.write(od.HEARTBEAT_PRODUCER, _PERIOD_MS)
     for command, state in ((START, 0x05), (STOP, 0x04), (PRE_OPERATIONAL, 0x7F), (START, 0x05)):
+        if command == STOP:
+            _ask(drive, od.DEVICE_TYPE)  # it may answer before the command, but not after
         drive.client.node.nmt.send_command(command)
         drive.quiet(_PERIOD_MS / 1e3)  # a heartbeat may be on its way
         since_ns = drive.now_ns
@@ -80,13 +82,31 @@ def nmt_states(bench: DriveBench) -> None:
             "the NMT command is ignored, or the heartbeat shows another state",
         )
         if state == 0x04:
-            drive.client.send_message(
-                0x600 + drive.node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
-            )
+            _ask(drive, od.DEVICE_TYPE)
             drive.quiet(0.1)
             answers = drive.client.heard(0x580 + drive.node_id, since_ns)
             seen = ", ".join(one.data.hex(" ") for one in answers)
             drive.expect(not answers, "SDO request in stopped", "no answer", seen)
+        if state == 0x7F:
+            _ask(drive, od.HEARTBEAT_PRODUCER)
+            drive.quiet(0.1)
+            answers = drive.client.heard(0x580 + drive.node_id, since_ns)
+            drive.expect(
+                all(one.data[1:4] == _place(od.HEARTBEAT_PRODUCER) for one in answers),
+                f"upload of {od.HEARTBEAT_PRODUCER} in pre-operational, after stopped",
+                "its answer",
+                ", ".join(one.data.hex(" ") for one in answers),
+                "an answer from before the stop comes late",
+            )
+
+
+def _ask(drive: Drive, entry: Entry) -> None:
+    """Queue a request for an upload, whose answer is not awaited."""
+    drive.client.send_message(0x600 + drive.node_id, bytes((0x40, *_place(entry), 0, 0, 0, 0)))
+
+
+def _place(entry: Entry) -> bytes:
+    return bytes((*entry.index.to_bytes(2, "little"), entry.subindex))
 
 
 @drive_clause("NMT-03", Level.L0, source="CiA 301, 7.5.2.16, producer heartbeat time 1017h")
