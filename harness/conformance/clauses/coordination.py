@@ -1,8 +1,9 @@
 """L4: groups as a whole: members, commands, reservations, failures, common stops, deviations."""
 
 import warnings
+from collections.abc import Sequence
 from functools import partial
-from itertools import product
+from itertools import permutations, product
 from math import hypot
 from typing import Any, Final
 
@@ -49,6 +50,7 @@ from motorhil.motorapi import (
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _GROUP_S: Final = 10.0
+_GROUP_TIMEOUT_S: Final = 0.5
 _PHASE: Final = Synchronization.PHASE
 
 
@@ -239,12 +241,37 @@ def group_reserves_all_or_none(bench: RigProtocol) -> None:
                 late_s = waited_s - (timeout_s or 0.0)
                 expect(0.0 <= late_s <= bench.facts.time_tolerance_s, f"refused after {waited_s} s")
             others[1 - place].enable()
+    _expect_one_timeout(bench, group, others)
     with group.reserve("survey") as reservation, others[1].reserve("fire", take_over=True):
         expect(not reservation.is_held, "held, although one member was taken over")
         by = reservation.lost_to or ""
         expect(others[1].name in by and "lost to" in repr(reservation), f"{reservation!r}: {by}")
         expect_raises(MotorBusyError, reservation.renew, "a lost reservation was renewed")
         expect([one.is_held for one in reservation.members].count(True) == 1, "not one is left")
+
+
+def _expect_one_timeout(bench: RigProtocol, group: MotorGroup, others: Sequence[Motor]) -> None:
+    """Check that the timeout of a reservation is for the group, not for each of its members."""
+    for first, second in permutations(others):
+        with second.reserve("lunch"):
+            party = bench.runtime.spawn("break", partial(_reserve_for, bench, first))
+            rest_for(bench, 0.1 * _GROUP_TIMEOUT_S)
+            begun_ns = bench.runtime.now_ns()
+            error = failure_of(group.reserve("survey", timeout_s=_GROUP_TIMEOUT_S).__enter__)
+            waited_s = (bench.runtime.now_ns() - begun_ns) / 1e9
+        expect(party.join(_GROUP_S) and party.error is None, f"{first.name}: {party.error}")
+        expect(isinstance(error, MotorBusyError), f"one member was never free: {error}")
+        late_s = waited_s - _GROUP_TIMEOUT_S
+        expect(
+            0.0 <= late_s <= bench.facts.time_tolerance_s,
+            f"reserve(timeout_s={_GROUP_TIMEOUT_S:g}) of a group was refused after {waited_s:g} s",
+        )
+
+
+def _reserve_for(bench: RigProtocol, motor: Motor) -> None:
+    """Hold a motor for the larger part of the timeout."""
+    with motor.reserve("break"):
+        rest_for(bench, 0.7 * _GROUP_TIMEOUT_S)
 
 
 @clause(

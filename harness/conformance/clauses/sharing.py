@@ -321,6 +321,10 @@ def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
                 expect_unmoved(bench, motor, before, what)
             expect_state(other, MotorState.ENABLED, "after commands of the former user")
             move(bench, other, 0.1 * long_move(bench))
+    turn(motor, 0.5 * motor.model.velocity_max)
+    finish(bench, motor)
+    with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
+        expect_rest(bench, motor, f"turning without a reservation, taken over by {other.name}")
     with motor.reserve("lease", lease_s=_LEASE_S) as lease:
         expect(_refusal_of(lambda: _reserve(other)) is not None, "a valid lease was taken")
         rest_for(bench, 2.0 * _LEASE_S)

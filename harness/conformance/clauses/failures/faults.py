@@ -91,7 +91,7 @@ def _expect_fault(motor: Motor, code: int) -> None:
     source="Motor.wait_until_done: DeviceFault, the drive has a fault; CiA 402-2, FAULT",
 )
 def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
-    """During a motion, a fault ends the wait with its error code and becomes the state."""
+    """During a motion, a fault ends the wait with its code and time, and becomes the state."""
     motor, way = bench.motor, 2.0 * long_move(bench)
     begin = begin_move(bench, motor, way, 0.4 * shortest_s(motor, way))
     reached(abs(position_of(bench, motor) - begin) > 0.05 * way, "a motion before the fault")
@@ -109,6 +109,19 @@ def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
     )
     _expect_fault(motor, code)
     _raised("the second wait", lambda: finish(bench, motor))
+    motor.reset_fault()
+    begin_move(bench, motor, -way, 0.2 * shortest_s(motor, way))
+    bench.fail(motor)
+    failed_ns = bench.runtime.now_ns()
+    rest_for(bench, _BACK_S)
+    error, fault = _raised("a wait after the fault", lambda: finish(bench, motor)), motor.fault()
+    since_s = (error.since_ns - failed_ns) / 1e9
+    told_s = since_s if fault is None else (fault.since_ns - failed_ns) / 1e9
+    expect(
+        -bench.facts.time_tolerance_s <= since_s == told_s,
+        f"the wait says that the fault began {since_s:g} s after its cause, fault() {told_s:g} s;"
+        " expected one time, after it",
+    )
 
 
 @clause(

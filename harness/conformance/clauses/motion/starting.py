@@ -1,5 +1,6 @@
 """L1: effects and conditions of start(); the end of a motion, notification and progress."""
 
+import logging
 import re
 import warnings
 from typing import TYPE_CHECKING, Final
@@ -19,6 +20,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     follow,
     long_move,
     move,
+    move_exactly,
     quiet_settings,
     rest_for,
     sample_positions,
@@ -33,6 +35,8 @@ from motorhil.motorapi import (
     DeadlineExceeded,
     DerivativeLimits,
     Motor,
+    MotorError,
+    PluginError,
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
@@ -390,7 +394,7 @@ def _expect_recent(bench: RigProtocol, heard: str) -> None:
     source="Motor.on_done: called once, at the end of the last commanded motion",
 )
 def on_done_is_called_once(bench: RigProtocol) -> None:
-    """Callbacks of on_done() are called once, at the end of the motion, with its outcome."""
+    """Callbacks of on_done() come once, at the end, with the outcome; their errors end the wait."""
     motor, way = bench.motor, 0.4 * long_move(bench)
     calls: list[tuple[int, Outcome]] = []
     follow(motor, TrapezoidalTrajectory(way))
@@ -409,6 +413,47 @@ def on_done_is_called_once(bench: RigProtocol) -> None:
     finish(bench, motor)
     rest_for(bench, bench.facts.time_tolerance_s)
     _expect_one_call(calls, Ending.INTERRUPTED, stopped_ns, bench.facts.time_tolerance_s)
+    _expect_error_of_callback(bench, motor, -way)
+
+
+def _expect_error_of_callback(bench: RigProtocol, motor: Motor, way: float) -> None:
+    """Check is_done() in a callback, and that a wait raises the error of on_done()'s callback."""
+    seen: list[bool | MotorError] = []
+
+    def look() -> None:
+        try:
+            seen.append(motor.is_done())
+        except MotorError as error:
+            seen.append(error)
+
+    follow(motor, TrapezoidalTrajectory(way))
+    timer = bench.runtime.every(0.1 * shortest_s(motor, way), look)
+    motor.on_done(lambda outcome: 1 / 0)
+    rest_for(bench, 0.5 * shortest_s(motor, way))
+    timer.cancel()
+    shown = ", ".join(map(repr, seen))
+    expect(not any(seen), f"is_done() in a callback in a motion: {shown}; expected False")
+    raised, log = "no error", logging.getLogger("motorapi")
+    log.addFilter(_is_shown)  # it would show this error, too
+    try:
+        finish(bench, motor, shortest_s(motor, way))
+        rest_for(bench, bench.facts.time_tolerance_s)  # the call may come after the end of the wait
+        finish(bench, motor)
+    except PluginError as error:
+        raised = f"{error!r}" if error.__cause__ is None else type(error.__cause__).__name__
+    finally:
+        log.removeFilter(_is_shown)
+    expect(
+        raised == ZeroDivisionError.__name__,
+        f"a callback of on_done() raised ZeroDivisionError; the wait raised {raised}; expected a"
+        " PluginError from it",
+    )
+    move_exactly(bench, motor, -way, "moved after a callback of on_done() raised an error")
+
+
+def _is_shown(record: logging.LogRecord) -> bool:
+    """Return whether a message of the log is another one than that of the clause's own error."""
+    return record.exc_info is None or record.exc_info[0] is not ZeroDivisionError
 
 
 def _expect_one_call(

@@ -107,6 +107,10 @@ def absolute_trajectory_ends_at_final_value(bench: RigProtocol) -> None:
     motor.set_trajectory(TrapezoidalTrajectory(origin + one, elsewhere))
     expect_raises(StateError, motor.start, "a trajectory from another position was started")
     expect_at(bench, motor, origin + 0.5 * one, "after a refused trajectory")
+    motor.disable()
+    follow(motor, TrapezoidalTrajectory(origin + one, motor.position()))
+    finish(bench, motor, shortest_s(motor, one))
+    expect_at(bench, motor, origin + one, "after a trajectory that began without power")
 
 
 @clause(

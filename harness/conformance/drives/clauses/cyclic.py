@@ -29,7 +29,7 @@ _TORQUE_NOISE: Final = 15  # of 6077h [1/1000 of 6076h]
 
 @drive_clause("CSP-01", Level.L4, source="CiA 402-2, cyclic synchronous position mode, 607Ah")
 def cyclic_position(bench: DriveBench) -> None:
-    """In csp, 607Ah by a synchronous RPDO moves the motor at SYNC; bit 12 tells that it follows."""
+    """In csp, 607Ah by a synchronous RPDO moves the motor at SYNC; bits 12 and 13 tell so."""
     drive = bench.drive
     drive.require_mode(Mode.CSP)
     pace = drive.pace()
@@ -42,7 +42,8 @@ def cyclic_position(bench: DriveBench) -> None:
     for _ in range(50):
         sync(drive)
     word = drive.statusword()
-    drive.expect(bool(word & od.BIT_12), "6041h in csp", "bit 12 = 1 (follows)", f"{word:04X}h")
+    what, expected = "6041h in csp, at rest", "bits 12, 13 = 1, 0 (follows, no following error)"
+    drive.expect(word & (od.BIT_12 | od.BIT_13) == od.BIT_12, what, expected, f"{word:04X}h")
     for _ in range(50):
         target += 0.25 * pace.speed * SYNC_S
         drive.client.send(identifier, struct.pack("<i", round(target)))

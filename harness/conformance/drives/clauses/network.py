@@ -7,7 +7,7 @@ from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.drive import BOOT_S, STATE_S, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Mode, State
+from motorhil.harness.conformance.drives.objects import Entry, Mode, State
 
 START: Final = 0x01
 STOP: Final = 0x02
@@ -60,11 +60,13 @@ def boot_up(bench: DriveBench) -> None:
 
 @drive_clause("NMT-02", Level.L0, source="CiA 301, 7.2.8.3.2, NMT state machine; 7.2.8.3.1")
 def nmt_states(bench: DriveBench) -> None:
-    """NMT commands change the state in the heartbeat; a stopped node answers no SDO request."""
+    """NMT commands change the state in the heartbeat; a stopped node answers no SDO, nor later."""
     drive = bench.drive
     drive.require(od.HEARTBEAT_PRODUCER)
     drive.write(od.HEARTBEAT_PRODUCER, _PERIOD_MS)
     for command, state in ((START, 0x05), (STOP, 0x04), (PRE_OPERATIONAL, 0x7F), (START, 0x05)):
+        if command == STOP:
+            _ask(drive, od.DEVICE_TYPE)  # it may answer before the command, but not after
         drive.client.node.nmt.send_command(command)
         drive.quiet(_PERIOD_MS / 1e3)  # a heartbeat may be on its way
         since_ns = drive.now_ns
@@ -80,13 +82,31 @@ def nmt_states(bench: DriveBench) -> None:
             "the NMT command is ignored, or the heartbeat shows another state",
         )
         if state == 0x04:
-            drive.client.send_message(
-                0x600 + drive.node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
-            )
+            _ask(drive, od.DEVICE_TYPE)
             drive.quiet(0.1)
             answers = drive.client.heard(0x580 + drive.node_id, since_ns)
             seen = ", ".join(one.data.hex(" ") for one in answers)
             drive.expect(not answers, "SDO request in stopped", "no answer", seen)
+        if state == 0x7F:
+            _ask(drive, od.HEARTBEAT_PRODUCER)
+            drive.quiet(0.1)
+            answers = drive.client.heard(0x580 + drive.node_id, since_ns)
+            drive.expect(
+                all(one.data[1:4] == _place(od.HEARTBEAT_PRODUCER) for one in answers),
+                f"upload of {od.HEARTBEAT_PRODUCER} in pre-operational, after stopped",
+                "its answer",
+                ", ".join(one.data.hex(" ") for one in answers),
+                "an answer from before the stop comes late",
+            )
+
+
+def _ask(drive: Drive, entry: Entry) -> None:
+    """Queue a request for an upload, whose answer is not awaited."""
+    drive.client.send_message(0x600 + drive.node_id, bytes((0x40, *_place(entry), 0, 0, 0, 0)))
+
+
+def _place(entry: Entry) -> bytes:
+    return bytes((*entry.index.to_bytes(2, "little"), entry.subindex))
 
 
 @drive_clause("NMT-03", Level.L0, source="CiA 301, 7.5.2.16, producer heartbeat time 1017h")
@@ -115,9 +135,9 @@ def heartbeat_period(bench: DriveBench) -> None:
     drive.expect(left == 0, "1017h = 0", "no heartbeat", f"{left} in {0.6:g} s")
 
 
-@drive_clause("NMT-04", Level.L5, source="CiA 301, 7.5.2.15, 1016h; CiA 402-2, 6007h")
+@drive_clause("NMT-04", Level.L5, source="CiA 301, 7.5.2.15, 1016h, 1029h; CiA 402-2, 6007h")
 def host_lost(bench: DriveBench) -> None:
-    """A lost heartbeat of the host (1016h) sends EMCY 8130h, and 6007h decides the reaction."""
+    """A lost heartbeat of the host (1016h) sends EMCY 8130h; 6007h and 1029h:1 choose the rest."""
     drive = bench.drive
     drive.require(od.HEARTBEAT_CONSUMER, od.ABORT_CONNECTION)
     mode = next((one for one in (Mode.PP, Mode.PV, Mode.CSP) if drive.has_mode(one)), None)
@@ -146,6 +166,35 @@ def host_lost(bench: DriveBench) -> None:
         drive.await_emergency(0x8130, begin_ns, f"{what} lost after {_CONSUMER_MS} ms")
         drive.await_state(state, f"{what} lost", "reaction of 6007h")
         drive.write(od.HEARTBEAT_CONSUMER, 0)
+    _expect_error_behaviour(drive)
+
+
+def _expect_error_behaviour(drive: Drive) -> None:
+    """Check the NMT state that 1029h:1 chooses after a lost host, where the drive has it."""
+    own = drive.find(od.COMMUNICATION_ERROR)
+    if own is None or drive.offer_value(od.HEARTBEAT_PRODUCER, _CONSUMER_MS // 4):
+        return
+    for behaviour, state in ((1, 0x05), (2, 0x04), (0, 0x7F)):
+        if drive.offer_value(od.COMMUNICATION_ERROR, behaviour):
+            continue
+        drive.client.node.nmt.send_command(START)
+        drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
+        drive.client.send(0x700 + _HOST, b"\x05")
+        drive.quiet(2.0 * _CONSUMER_MS / 1e3)
+        since_ns = drive.now_ns
+        drive.quiet(_CONSUMER_MS / 2e3)
+        heard = drive.client.heard(_heartbeat_id(drive), since_ns)
+        drive.expect(
+            bool(heard) and all(one.data[0] & 0x7F == state for one in heard),
+            f"1029h:1 = {behaviour}, heartbeat of node {_HOST:02X}h lost in operational",
+            f"heartbeats {state:02X}h ({_NAMES[state]})",
+            ", ".join(one.data.hex() for one in heard) or "no heartbeat",
+            "1029h is ignored",
+        )
+        drive.client.node.nmt.send_command(PRE_OPERATIONAL)
+        drive.write(od.HEARTBEAT_CONSUMER, 0)
+    drive.write(od.COMMUNICATION_ERROR, own)
+    drive.write(od.HEARTBEAT_PRODUCER, 0)
 
 
 @drive_clause("NMT-05", Level.L5, source="CiA 402-2, 6007h: NMT stopped is a lost connection")
@@ -167,6 +216,10 @@ def stopped_node(bench: DriveBench) -> None:
             what = f"NMT {command:02X}h, 6007h = {option}"
             wanted = state or State.OPERATION_ENABLED
             drive.await_state(wanted, what, "reaction of 6007h", 2.0 * STATE_S)
+            register = drive.find(od.ERROR_REGISTER)
+            if state is State.FAULT and register is not None:
+                seen = f"{register:02X}h"
+                drive.expect(bool(register & 1), f"{what}: fault", "1001h bit 0 = 1", seen)
             drive.ramps(pace.acceleration)
             if state is None and drive.has_mode(Mode.PV):
                 drive.near(od.VELOCITY, pace.velocity, pace.velocity // 10, what, "it stops")

@@ -72,16 +72,20 @@ class Execution:
         """Return the runs that can kill a mutant, of a limited cost.
 
         Every clause comes once, the cheapest first, before any comes for the second time, on
-        another bench. As in a run of the kit, the first bench is any; here the mutant draws it.
+        another bench. As in a run of the kit, the first bench is any; here the mutant draws it. If
+        a statement is executed only while modules are imported, each user of the module comes.
         """
         bit = 1 << mutant.statement if mutant.is_in_function else -1
-        able = [one for one in self.runs if one.hits.get(mutant.file, 0) & bit and one.is_able]
+        able = self._executing(mutant.file, bit)
+        if not able and self.is_early(mutant):
+            able = self._executing(mutant.file, -1)
         able.sort(key=lambda one: _drawn(mutant.function, mutant.change, one.clause, one.bench))
-        turns: dict[str, int] = {}
+        turns: dict[tuple[bool, str], int] = {}
         ranked = []
         for one in able:
-            turns[one.clause] = turns.get(one.clause, 0) + 1
-            ranked.append((turns[one.clause], one))
+            key = benches.is_of_drive(one.bench), one.clause  # both kits have, e.g., a STOP-03
+            turns[key] = turns.get(key, 0) + 1
+            ranked.append((turns[key], one))
         ranked.sort(key=lambda pair: (pair[0], pair[1].cpu_s))
         chosen, cost_s = [], 0.0
         for _, one in ranked:
@@ -90,6 +94,10 @@ class Execution:
             cost_s += one.cpu_s
             chosen.append(one)
         return chosen
+
+    def _executing(self, file: str, bits: int) -> list[Run]:
+        """Return the runs that check something and execute one of these statements."""
+        return [one for one in self.runs if one.hits.get(file, 0) & bits and one.is_able]
 
 
 def _drawn(*words: str) -> bytes:

@@ -10,9 +10,10 @@ import pytest
 
 from motorhil.harness.version import cores_are_compiled
 from tests.conformance.mutants.by_rule.classified import read
+from tests.conformance.mutants.by_rule.execution import Execution, Run
 from tests.conformance.mutants.by_rule.loading import instrumented, mutated
 from tests.conformance.mutants.by_rule.rules import edits
-from tests.conformance.mutants.by_rule.sources import files, functions, mutants_in, sample
+from tests.conformance.mutants.by_rule.sources import Mutant, files, functions, mutants_in, sample
 from tests.support.checkout import CHECKOUT
 
 
@@ -110,6 +111,27 @@ def test_mutant_of_a_changed_source_is_refused():
     (one, *_) = mutants_in(*functions()[0])
     with pytest.raises(LookupError, match="not in the source any more"):
         mutated(type(one)(**{**{k: getattr(one, k) for k in one.__slots__}, "number": 10**6}))
+
+
+def run_of(bench):
+    return Run(bench, "STOP-03", 1.0, "passed", {"a.py": 0b01})
+
+
+def mutant_in(statement, change="1 -> 2"):
+    return Mutant("a.py", "f", change, "constant", 1, 0, statement, True)
+
+
+def test_plan_takes_clauses_of_both_kits_with_one_id():
+    execution = Execution([run_of(one) for one in ("drive: a", "drive: b", "cia402")], {}, [])
+    for number in range(10):
+        plan = execution.plan(mutant_in(0, f"1 -> {number}"), 2.0)
+        assert sorted(one.bench[:5] for one in plan) == ["cia40", "drive"]
+
+
+def test_plan_of_early_statement_takes_users_of_the_module():
+    execution = Execution([run_of("cia402")], {"a.py": 0b10}, [])
+    assert execution.plan(mutant_in(1), 10.0) == execution.runs
+    assert not execution.plan(mutant_in(2), 10.0)
 
 
 def test_classified_survivors_are_readable():

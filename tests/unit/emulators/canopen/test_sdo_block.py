@@ -84,8 +84,9 @@ def download(bench, data, *, unused=None, crc=None, sized=True):
     parts = [data[at : at + 7] for at in range(0, len(data), 7)]
     for number, part in enumerate(parts, 1):
         last = 0x80 if number == len(parts) else 0
-        said = ask(bench, bytes([number | last, *part.ljust(7, b"\0")]).hex(" "))
-        assert said == ([f"A2 {number:02X} 7F 00 00 00 00 00"] if last else [])
+        place = (number - 1) % 127 + 1  # a block has 127 segments
+        said = ask(bench, bytes([place | last, *part.ljust(7, b"\0")]).hex(" "))
+        assert said == ([f"A2 {place:02X} 7F 00 00 00 00 00"] if last or place == 127 else [])
     unused = -len(data) % 7 if unused is None else unused
     crc = block_crc(data) if crc is None else crc
     end = bytes([0xC1 | unused << 2, *crc.to_bytes(2, "little"), 0, 0, 0, 0, 0])
@@ -94,7 +95,7 @@ def download(bench, data, *, unused=None, crc=None, sized=True):
 
 
 @pytest.mark.parametrize("sized", [True, False])
-@pytest.mark.parametrize("data", [b"1", b"1234567", b"12345678", bytes(range(100))])
+@pytest.mark.parametrize("data", [b"1", b"1234567", b"12345678", bytes(range(100)), bytes(900)])
 def test_block_download_is_accepted(data, sized):
     bench = Bench().boot()
     assert download(bench, data, sized=sized) == "A1 00 00 00 00 00 00 00"

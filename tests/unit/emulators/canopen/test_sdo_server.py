@@ -304,6 +304,19 @@ def test_response_leaves_one_reply_time_after_request():
     assert bench.node.next_deadline_ns() is None
 
 
+@pytest.mark.parametrize("command", [0x02, 0x82])
+def test_response_is_dropped_when_node_stops(command):
+    bench = Bench().boot()
+    bench.tell(0x602, "40 18 10 01 00 00 00 00")
+    bench.tell(0x000, bytes((command, 0)))
+    bench.wait(500 * MS)  # boots
+    bench.tell(0x000, bytes((0x80, 0)))
+    assert all(one.startswith("702") for one in bench.frames())
+    bench.tell(0x602, "40 18 10 00 00 00 00 00")
+    bench.wait(10 * MS)
+    assert bench.frames() == ["582 4F 18 10 00 01 00 00 00"]
+
+
 def test_zero_reply_time_responds_at_once():
     bench = Bench(sdo_reply_ns=0).boot()
     bench.tell(0x602, "40 18 10 01 00 00 00 00")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from motorhil.emulators.cia402.settings import OWN_EDS, read_settings
+from motorhil.emulators.cia402.settings import OWN_EDS, read_settings, shown_parameters
 from motorhil.emulators.controller import SettingError
 from motorhil.emulators.plant.presets import PRESETS
 from tests.support.cia402.bench import Bench, new_drive
@@ -371,3 +371,7 @@ def test_device_type_without_a_value_in_the_file_is_402(tmp_path):
     bench = Bench(folder=tmp_path, eds="own.eds")
     bench.boot()
     assert bench.read(0x1000, signed=False) == 0x0002_0192  # CiA 402-1, device type: servo drive
+
+
+def test_bits_of_a_quirk_are_shown_in_hexadecimal():
+    assert shown_parameters({"bits": 64, "by_s": 0.5}) == "bits = 0x40, by_s = 0.5"

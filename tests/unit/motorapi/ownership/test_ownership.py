@@ -18,7 +18,11 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import ProcessLock
-from motorhil.motorapi.ownership.physical_motor import RunStatus, register_physical_motor
+from motorhil.motorapi.ownership.physical_motor import (
+    ActiveMotion,
+    RunStatus,
+    register_physical_motor,
+)
 from tests.support.motors.plain import PlainBus, PlainHwMotor, PlainMotor
 
 MS = 1_000_000
@@ -300,3 +304,14 @@ def test_token_grows_when_another_process_had_the_motor(tmp_path):
     finally:
         runtime.close()
     assert tokens == [1, 1, 2, 2]
+
+
+def test_first_interruption_counts_and_none_after_the_end(motor):
+    run = ActiveMotion("move", motor, 0, None)
+    run.interrupt("stop() of a", 1)
+    run.interrupt("disable() of b", 2)
+    assert (run.interrupted_by, run.interrupted_at_ns) == ("stop() of a", 1)
+    run = ActiveMotion("move", motor, 0, None)
+    run.finished = True
+    run.interrupt("stop() of a", 1)
+    assert run.interrupted_by is None

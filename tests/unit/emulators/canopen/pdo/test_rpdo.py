@@ -1,8 +1,11 @@
 """RPDOs: time of the writes, and wrong lengths (CiA 301, 7.2.2)."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from motorhil.emulators.canopen.object_dictionary import ObjectDictionary
+from motorhil.emulators.canopen.pdo_mapping import is_dummy
 from tests.support.canopen.node_bench import MS, Bench, dictionary, put_pdo
 
 CONTROLWORD, TARGET = 0x6040_0010, 0x607A_0020
@@ -110,6 +113,12 @@ def test_long_rpdo_uses_mapped_bytes_with_emcy_8220h():
     assert bench.frames() == ["082 10 82 11 01 01 02 00 00"]
     bench.tell(0x202, "0F 00")
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
+
+
+@pytest.mark.parametrize(("bits", "is_one"), [(0, False), (1, True), (2, False)])
+def test_dummy_of_a_boolean_has_one_bit(bits, is_one):
+    od = SimpleNamespace(dummies=(1,))
+    assert is_dummy(0x0001_0000 | bits, od) is is_one
 
 
 def test_dummy_skips_its_bytes():

@@ -306,9 +306,11 @@ def test_tpdo_answers_unless_cob_id_forbids_it():
     assert ASK not in bench.node.identifiers()
 
 
-def test_tpdo_in_flight_is_the_answer():
-    bench = bench_with(253)
+@pytest.mark.parametrize("transmission_type", [252, 253])
+def test_tpdo_in_flight_is_the_answer(transmission_type):
+    bench = bench_with(transmission_type)
     start(bench)
+    bench.tell(0x080)
     bench.is_bus_stuck = True
     for _ in range(3):
         bench.tell(ASK)

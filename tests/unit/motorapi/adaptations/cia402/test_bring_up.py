@@ -118,6 +118,15 @@ def test_second_program_writes_nothing_and_stops_nothing(rig: Rig):
     second.close()
 
 
+def test_status_in_words_names_its_state(rig: Rig):
+    hw = Cia402HwMotor(rig.bus("can0"), 1)
+    hw.connect()
+    assert "(switch on disabled), position 0 increments" in hw.node.describe_status()
+    hw.node.statusword = 0x4E  # no state of the standard
+    assert "(no state of CiA 402)" in hw.node.describe_status()
+    hw.close()
+
+
 def test_second_connect_sends_nothing(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     facts = hw.connect()
@@ -176,6 +185,17 @@ def test_bring_up_disables_other_tpdos(rig: Rig):
         cob_id = hw.read(0x1800 + number, 1)
         assert isinstance(cob_id, int)
         assert cob_id & 0x8000_0000
+    hw.close()
+
+
+@pytest.mark.parametrize("period_ms", [0, 10])
+def test_bring_up_disables_tpdo_3_beside_velocity(open_rig: OpenRig, period_ms: int):
+    rig = open_rig(drive("left", 1, "objects = { '1802h:1' = 0x381 }"))
+    hw = Cia402HwMotor(rig.bus("can0"), 1, options=HwOptions(velocity_period_ms=period_ms))
+    hw.connect()
+    cob_id = hw.read(0x1802, 1)
+    assert isinstance(cob_id, int)
+    assert cob_id & 0x8000_0000
     hw.close()
 
 

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
+from motorhil.motorapi.adaptations.cia402.motion import times_of_stream
 from motorhil.motorapi.errors import UsageError
 from tests.support.motors.drive_rigs import drive
 from tests.unit.motorapi.adaptations.cia402.test_controlword import written_to_left
@@ -105,3 +108,19 @@ def test_period_outside_60c2h_is_refused(rig: Rig, period_s: float):
     with pytest.raises(UsageError, match="integer milliseconds, 1 to 255"):
         CspStream(hw.control, period_s, lambda cycle: 0)
     hw.close()
+
+
+@pytest.mark.parametrize(
+    ("late", "missed", "words"),
+    [
+        (0, 0, ""),
+        (2, 0, "; 2 of 9 set-points were late"),
+        (0, 1, "; the host missed 1 periods"),
+        (2, 1, "; 2 of 9 set-points were late; the host missed 1 periods"),
+    ],
+)
+def test_source_of_times_tells_late_and_missed_periods(late: int, missed: int, words: str):
+    watch: Any = SimpleNamespace(started_ns=1, ended_ns=2)
+    plain = times_of_stream(watch, None).source
+    stream: Any = SimpleNamespace(late=late, sent=9, missed=missed)
+    assert times_of_stream(watch, stream).source == plain + words

@@ -192,6 +192,8 @@ def test_target_outside_607b_is_refused_before_the_start():
         assert not told
         move(motor, 1.0)
         motor.wait_until_done(timeout_s=5)
+        move(motor, 0.0)  # the lower end
+        motor.wait_until_done(timeout_s=5)
 
 
 def test_fault_has_code_and_text_and_is_reset(rig):

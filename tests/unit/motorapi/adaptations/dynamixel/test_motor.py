@@ -171,6 +171,10 @@ def test_velocity_mode_runs_and_stops():
         assert abs(left.velocity()) < 0.06
 
 
+def test_servo_is_referenced_without_homing(rig):
+    assert rig.motors["left"].is_referenced()  # its encoder is absolute
+
+
 def test_target_beyond_256_turns_is_refused(rig):
     left = rig.motors["left"]
     left.enable()

@@ -387,6 +387,16 @@ def test_set_point_with_a_heavy_load_is_reached(open_rig: OpenRig, share: float)
         assert left.position() == pytest.approx(-1.0, abs=10 / INC_PER_RAD)
 
 
+def test_set_point_is_done_within_the_position_window(open_rig: OpenRig):
+    text = one(motor="position_window_rad = 0.2\nfollowing_error_window_rad = inf")
+    rig = open_rig(text.replace("bandwidth_rad_s = 60.0", "kp_a_rad = 10.0\nkd_a_s_rad = 0.5"))
+    left = enabled(rig)
+    rig.controllers["io"].stimulate("load_torque_n_m", 2.0)  # without ki, an error stays
+    commanded(left, ControlMode.SETPOINT, ControlVariable.POSITION, 1.0)
+    left.wait_until_done(5)
+    assert 20 / INC_PER_RAD < abs(left.position() - 1.0) < 0.2
+
+
 def test_blocked_motor_without_window_keeps_pushing(open_rig: OpenRig):
     rig = open_rig(one(motor="following_error_window_rad = inf"))
     left = moving(rig)

@@ -274,6 +274,14 @@ def test_position_is_the_sum_of_counts_across_wraps(steps, first):
         assert servo.position == total
 
 
+def test_count_after_a_pause_is_the_first_one():
+    servo = Servo(T)
+    servo.step(0, 1)
+    servo.forget()
+    assert servo.measure(5000, 500) == 0
+    assert (servo.position, servo.velocity) == (5000.0, 0.0)
+
+
 def test_missed_cycles_cause_no_velocity():
     servo = Servo(T)
     servo.step(0, 1)

@@ -10,6 +10,7 @@ import pytest
 from motor_driver.canmotorlib import AK80_6_V2_PARAMS, uint_to_float
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.mit.settings import MODELS as EMULATED_MODELS
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig, installed_plugins
@@ -26,8 +27,10 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
+from motorhil.motorapi.adaptations.mit.frames import MODELS
 from tests.support.kit_benches import RIGS
 
+EMULATED = {name: tuple(ranges) for name, (_, ranges) in EMULATED_MODELS.items()}
 FIRMWARE = ["ak80_6_v2", "mini_cheetah", "dm4310", "rs01"]
 PLANT = (
     'preset = "wheel_60w", gear_ratio = 10.0, load_inertia_kg_m2 = 0.01,'
@@ -80,6 +83,11 @@ def frames(rig, seconds, *, sent=None):
             if one is not None:
                 found.append(one)
     return found
+
+
+def test_ranges_of_all_models_are_those_of_the_emulated_drives():
+    """Each table was written by the data sheets."""
+    assert {name: tuple(ranges) for name, (_, ranges) in MODELS.items()} == EMULATED
 
 
 @pytest.mark.parametrize("drive", FIRMWARE)
