@@ -3,7 +3,6 @@
 import asyncio
 import signal
 import subprocess
-import time
 
 import can
 import moteus
@@ -57,13 +56,11 @@ async def talk(path):
         target = {"position": 2.0, "velocity_limit": 8.0, "accel_limit": 40.0}
         state = await drive.set_position(**target, query=True)
         complete = drive.make_custom_query({moteus.Register.TRAJECTORY_COMPLETE: moteus.INT8})
-        end_s = time.monotonic() + LONG_S
-        while time.monotonic() < end_s:  # a fast machine asks often
-            (heard,) = await transport.cycle([complete])
-            if heard.values[moteus.Register.TRAJECTORY_COMPLETE] and state is not None:
-                state = await drive.query()
-                if abs(state.values[moteus.Register.POSITION] - 2.0) < 0.01:
-                    break
+        async with asyncio.timeout(LONG_S):  # a fast machine asks often
+            while abs(state.values[moteus.Register.POSITION] - 2.0) >= 0.01:
+                (heard,) = await transport.cycle([complete])
+                if heard.values[moteus.Register.TRAJECTORY_COMPLETE]:
+                    state = await drive.query()
         await moteus.Stream(drive).command(b"d stop")
         return found, state.values, (await drive.query()).values
     finally:
