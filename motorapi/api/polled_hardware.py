@@ -13,7 +13,7 @@ of 2^32 counts, which each status updates. So a status is needed at least every 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from math import floor, pi
@@ -230,6 +230,18 @@ class PolledHardware(ABC, Generic[UnitT]):
     @abstractmethod
     def poll(self, model: "MotorModel") -> Poll:
         """Read state, position, speed and demand, each in a separate request."""
+
+    @final
+    def _read_positions(
+        self, read: Callable[[int], int], position: int, demand: int
+    ) -> tuple[int, int, int]:
+        """Read the registers `position` and `demand`.
+
+        Returns:
+            Both without the wraps of the drive's counter [counts], and when the first was answered.
+        """
+        raw, time_ns = read(position), self.runtime.now_ns()
+        return *self._continued(raw, read(demand)), time_ns
 
     @final
     def _is_old(self, time_ns: int) -> bool:

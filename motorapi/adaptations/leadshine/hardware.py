@@ -113,11 +113,12 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position, demand, time_ns = self._read_positions()
+        places = registers.read_i32, _POSITION, _DEMAND
+        position, demand, time_ns = self._read_positions(*places)
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
         if self._is_old(time_ns):
-            position, demand, time_ns = self._read_positions()
+            position, demand, time_ns = self._read_positions(*places)
         self._is_homed = bool(status & _HOMED)
         fault = self._fault(bool(status & _FAULT), _ALARMS)
         state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
@@ -136,11 +137,6 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
             has_arrived=bool(status & _PATH_DONE) and not is_moving,
             at_velocity=bool(status & _COMMAND_DONE),
         )
-
-    def _read_positions(self) -> tuple[int, int, int]:
-        """Return position and demand [counts], and when the position was answered."""
-        raw, time_ns = self.registers.read_i32(_POSITION), self.runtime.now_ns()
-        return *self._continued(raw, self.registers.read_i32(_DEMAND)), time_ns
 
     def _read_alarm(self) -> int:
         return self.registers.read(_ALARM)[0]

@@ -121,11 +121,12 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         """Read state, position, speed and demand, each in a separate request."""
         self.connect(model)
         registers, per_unit = self.registers, self._per_unit(model)
-        position, demand, time_ns = self._read_positions()
+        places = registers.read_i32, _POSITION, _DEMAND
+        position, demand, time_ns = self._read_positions(*places)
         speed = registers.read_i32(_SPEED)
         outputs = registers.read_i32(_OUTPUTS)
         if self._is_old(time_ns):
-            position, demand, time_ns = self._read_positions()
+            position, demand, time_ns = self._read_positions(*places)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
         is_moving = bool(outputs & _MOVE)
         self._stop_again(is_moving)
@@ -145,11 +146,6 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
             has_arrived=not is_moving and bool(outputs & _IN_POSITION),
             at_velocity=hz is not None and self._is_at(speed, hz),
         )
-
-    def _read_positions(self) -> tuple[int, int, int]:
-        """Return position and demand [counts], and when the position was answered."""
-        raw, time_ns = self.registers.read_i32(_POSITION), self.runtime.now_ns()
-        return *self._continued(raw, self.registers.read_i32(_DEMAND)), time_ns
 
     def _is_at(self, speed: int, hz: int) -> bool:
         """Return whether the speed is `hz`, for low speeds by their demand."""
