@@ -8,7 +8,6 @@ nearly every SYNC closely.
 Source: CiA 301 (pre-defined connection set, SDO, PDO transmission types, NMT).
 """
 
-from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, final
@@ -27,6 +26,7 @@ from motorhil.traces.exchange.steps import (
     Sent,
     Step,
     Turn,
+    goes_on,
     period_ns,
 )
 from motorhil.traces.schema import Direction
@@ -338,10 +338,7 @@ def _mark_periodic(node: _Node) -> None:
             if period is None or (identifier >> 7 == 14 and not one.data[8]):
                 continue
             times, now_ns = node.times_ns[identifier], step.time_ns + one.delay_ns
-            behind = bisect_right(times, now_ns)
-            # After the last frame the interval before it is assumed.
-            next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
-            if 4 * (next_ns - now_ns) <= 5 * period:
+            if goes_on(times, now_ns, period):
                 step.reactions[place] = one._replace(goes_on=True)
 
 

@@ -7,7 +7,6 @@ belong to the command before them, and may be periodic.
 Source: as of `motorhil.traces.exchange.drive_kinds`.
 """
 
-from bisect import bisect_right
 from typing import Final, final
 
 from motorhil.traces.can_frame import EFF, ERR
@@ -20,6 +19,7 @@ from motorhil.traces.exchange.steps import (
     Sent,
     Step,
     Turn,
+    goes_on,
     period_ns,
 )
 
@@ -151,10 +151,7 @@ class DriveExchanges:
         if period is None:
             return one
         times, now_ns = self._times_ns[identifier], step.time_ns + one.delay_ns
-        behind = bisect_right(times, now_ns)
-        # After the last frame the interval before it is assumed.
-        next_ns = times[behind] if behind < len(times) else 2 * now_ns - times[behind - 2]
-        return one._replace(goes_on=4 * (next_ns - now_ns) <= 5 * period)
+        return one._replace(goes_on=goes_on(times, now_ns, period))
 
 
 def _time_of(step: Step) -> int:

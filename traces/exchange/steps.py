@@ -8,6 +8,7 @@ and order, not by time. So a host that is faster or slower than the recorded one
 answers.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -118,3 +119,14 @@ def period_ns(times_ns: Sequence[int]) -> int | None:
     middle = steps[len(steps) // 2]
     near = sum(1 for step in steps if abs(step - middle) * 10 <= middle)
     return middle if middle > 0 and 2 * near > len(steps) else None
+
+
+def goes_on(times_ns: Sequence[int], now_ns: int, period: int) -> bool:
+    """Return whether the next of the frames at these times followed about a period after `now_ns`.
+
+    After the last frame the interval before it is assumed.
+    """
+    behind = bisect_right(times_ns, now_ns)
+    last = behind == len(times_ns)
+    next_ns = 2 * now_ns - times_ns[behind - 2] if last else times_ns[behind]
+    return 4 * (next_ns - now_ns) <= 5 * period
