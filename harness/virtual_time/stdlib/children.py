@@ -25,6 +25,7 @@ from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
 from motorhil.harness.virtual_time.stdlib.threads import (
     OUTSIDE,
     Program,
+    has_children,
     party_here,
     program_here,
 )
@@ -155,7 +156,7 @@ def _communicated(
 def _started_by_loop(loop: Any, factory: Any, program: Any, *words: Any, **named: Any) -> Any:
     """Stand in for the function of event loops that starts a program."""
     facts = {"args": [program, *words], "shell": False, "executable": named.get("executable")}
-    if is_meant() and not (_has_children() and _can_join(facts)):
+    if is_meant() and not (has_children() and _can_join(facts)):
         refuse("asyncio.subprocess_exec", _CHILD, _RUN)
     return _loop_exec(loop, factory, program, *words, **named)
 
@@ -175,14 +176,9 @@ def _watched(watcher: Any, loop: Any, pid: int, *others: Any) -> None:
     _watch(watcher, loop, pid, *others)
 
 
-def _has_children() -> bool:
-    program = program_here()
-    return program is not None and program.children is not None
-
-
 @final
 class _Talk:
-    """What a child and its parent tell each other until all pipes are closed."""
+    """A talk between a parent and its child, until all pipes are closed."""
 
     def __init__(self, process: Popen[Any], given: Any) -> None:
         self._read: dict[str, bytearray] = {}

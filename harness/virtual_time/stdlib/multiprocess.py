@@ -22,12 +22,15 @@ from multiprocessing.synchronize import SemLock
 from typing import Any, Final
 
 from motorhil.harness.virtual_time.stdlib.children import await_here, death_awaited, is_ready
-from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
-from motorhil.harness.virtual_time.stdlib.threads import on_wall, party_here, program_here
+from motorhil.harness.virtual_time.stdlib.refusals import COPY, THREADS, is_meant, refuse
+from motorhil.harness.virtual_time.stdlib.threads import (
+    has_children,
+    on_wall,
+    party_here,
+    program_here,
+)
 
-_COPY: Final = "the new process would have its own copy of the rig, with its own time"
 _PROCESSES: Final = "it is for processes, and blocks in the operating system"
-_THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
 _SPAWN: Final = 'use multiprocessing.get_context("spawn")'
 _CHILD_MARK: Final = "--multiprocessing-fork"
 _PIPE_BYTES: Final = 1 << 20  # for what a process gets at its start, which is written at once
@@ -69,26 +72,20 @@ def methods() -> list[tuple[type, str, object]]:
     ]
 
 
-def _has_children() -> bool:
-    """Return whether processes of the program here can join the rig."""
-    program = program_here()
-    return program is not None and program.children is not None
-
-
 def _guarded(place: object, name: str) -> Callable[..., Any]:
     """Return a stand-in that refuses parties whose processes cannot join; Manager, all parties.
 
     A thread pool has a SimpleQueue to end, and reads it only when something is in it.
     """
     original = getattr(place, name)
-    remedy = _THREADS if name != "Manager" else "use a Queue of a spawn context"
+    remedy = THREADS if name != "Manager" else "use a Queue of a spawn context"
 
     @wraps(original)
     def stand_in(*arguments: Any, **named: Any) -> Any:
-        if name == "SimpleQueue" and not _has_children() and _is_for_pool():
+        if name == "SimpleQueue" and not has_children() and _is_for_pool():
             with on_wall():
                 return original(*arguments, **named)
-        if is_meant() and (name == "Manager" or not _has_children()):
+        if is_meant() and (name == "Manager" or not has_children()):
             refuse(f"multiprocessing.{name}", _PROCESSES, remedy)
         return original(*arguments, **named)
 
@@ -105,9 +102,9 @@ def _started(process: Any) -> None:
     """Stand in for Process.start."""
     if is_meant():
         method = process._start_method or multiprocessing.get_start_method()  # noqa: SLF001 -- not told otherwise
-        if not _has_children() or method != "spawn":
-            remedy = _SPAWN if _has_children() else _THREADS
-            refuse("multiprocessing", _COPY, remedy)
+        if not has_children() or method != "spawn":
+            remedy = _SPAWN if has_children() else THREADS
+            refuse("multiprocessing", COPY, remedy)
     _start(process)
 
 
@@ -148,7 +145,7 @@ def _environment(changed: dict[str, str]) -> Iterator[None]:
 @wraps(_popen_wait)
 def _waited(process: Popen, timeout: float | None = None) -> int | None:
     """Stand in for the wait for a process."""
-    if process.returncode is None and party_here() is not None and _has_children():
+    if process.returncode is None and party_here() is not None and has_children():
         await_here(lambda: process.poll() is not None, timeout)
         return process.poll()
     return _popen_wait(process, timeout)
@@ -157,7 +154,7 @@ def _waited(process: Popen, timeout: float | None = None) -> int | None:
 @wraps(_kill)
 def _signalled(process: Popen, number: int) -> None:
     """Stand in for terminate and kill; return once the process is dead by it."""
-    if process.returncode is not None or party_here() is None or not _has_children():
+    if process.returncode is not None or party_here() is None or not has_children():
         _kill(process, number)
         return
     with death_awaited(process.pid, number):
@@ -204,7 +201,7 @@ def _acquired(own: Any, block: bool = True, timeout: float | None = None) -> boo
 
     It is taken in the thread that asked: the semaphore knows its owner.
     """
-    if party_here() is None or not _has_children():
+    if party_here() is None or not has_children():
         return bool(own.acquire(block, timeout))
     if own.acquire(False):
         return True

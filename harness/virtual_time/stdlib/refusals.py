@@ -13,15 +13,15 @@ from motorhil.harness.virtual_time.stdlib.threads import (
 )
 from motorhil.motorapi.errors import UsageError
 
-_COPY: Final = "the new process would have its own copy of the rig, with its own time"
+COPY: Final = "the new process would have its own copy of the rig, with its own time"
 _SYSTEM: Final = "it blocks in the operating system, and with it all threads of the program"
 _ALARM: Final = "it uses the wall clock, not the rig's clock"
-_THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
+THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
 _TIMER: Final = "use threading.Timer"
 _SELECTOR: Final = "use selectors.DefaultSelector"
 _FUNCTIONS: Final = (
-    (os.fork, "os.fork", _COPY, _THREADS),
-    (os.forkpty, "os.forkpty", _COPY, _THREADS),
+    (os.fork, "os.fork", COPY, THREADS),
+    (os.forkpty, "os.forkpty", COPY, THREADS),
     (select.poll, "select.poll", _SYSTEM, _SELECTOR),
     (select.epoll, "select.epoll", _SYSTEM, _SELECTOR),
     (signal.alarm, "signal.alarm", _ALARM, _TIMER),

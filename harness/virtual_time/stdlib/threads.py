@@ -144,6 +144,12 @@ def party_here() -> VirtualParty | None:
     return program.runtime.party_of_thread()
 
 
+def has_children() -> bool:
+    """Return whether processes that the program here starts can join the rig."""
+    program = program_here()
+    return program is not None and program.children is not None
+
+
 def caller_is_outside(depth: int) -> bool:
     """Return whether the function `depth` calls up belongs to the packages in `OUTSIDE`."""
     name = sys._getframe(depth).f_globals.get("__name__", "")  # noqa: SLF001 -- no other is as fast
