@@ -169,7 +169,7 @@ def test_second_answer_is_found(name):
 
 
 def test_second_answer_to_a_motion_of_an_rmd_is_found():
-    """It sends status 1 by itself when an error occurs: this one is no surplus."""
+    """The drive sends status 1 by itself when an error occurs: this one is no surplus."""
     heard, files = story("rmd")
     for command, expected in ((0xA4, ["one-drive"]), (0x9A, [])):
         at = chosen(heard, in_can(0x241, value=command))
