@@ -10,7 +10,7 @@ ownership the messages are read twice, and only if ownership is recorded.
 """
 
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Final, final
 
 from motorhil.harness.oracles import ownership
@@ -41,11 +41,11 @@ from motorhil.harness.oracles.process_data import TpdoTimes
 from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.oracles.services import ErrorsListed, NmtStates, Refusals
 from motorhil.harness.oracles.state_machine import StateMachine
-from motorhil.traces.decoding.attached_rig import facts_of, names_of, place_of
+from motorhil.traces.decoding.attached_rig import controllers_in, names_of
 from motorhil.traces.formats.frames import Findings as Reading
 from motorhil.traces.formats.registry import Source, open_source
 from motorhil.traces.mcap.reader import Trace, read_trace
-from motorhil.traces.mcap.records import Attachment, Channel
+from motorhil.traces.mcap.records import Channel
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import (
     CAN_FRAME,
@@ -117,7 +117,7 @@ def judge(
     if source.format == "mcap":
         with read_trace(source.path, source.memory_max) as trace:
             return _judge_trace(trace, facts, only, (from_ns, to_ns), note, seen)
-    names, drives = names_of(facts.attachments), _drives_in(facts.attachments)
+    names, drives = names_of(facts.attachments), controllers_in(facts.attachments)
     context = RecordingContext(facts, names, from_ns, to_ns, drives)
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.frames_of(source)
@@ -144,7 +144,7 @@ def _judge_trace(
     own = subjects_in(trace.attachments)
     files = [*trace.attachments, *facts.attachments]
     context = RecordingContext(
-        facts.with_more(own), names_of(files), from_ns, to_ns, _drives_in(files)
+        facts.with_more(own), names_of(files), from_ns, to_ns, controllers_in(files)
     )
     pass_ = Pass(context, only, None if seen is None else Incidents(context))
     pass_.messages_of(trace, to_ns)
@@ -153,12 +153,6 @@ def _judge_trace(
         seen.motors.update(own)
     pass_.saw(seen)
     return pass_.findings(trace, from_ns, to_ns)
-
-
-def _drives_in(files: Iterable[Attachment]) -> dict[tuple[str, int], Mapping[str, object]]:
-    """Return the tables of the controllers in an attached rig, by bus and node."""
-    tables = facts_of(files).settings.values()
-    return {place: table for table in tables if (place := place_of(table)) is not None}
 
 
 @final

@@ -280,3 +280,9 @@ def place_of(table: Mapping[str, object]) -> tuple[str, int] | None:
     """Return bus and node of a controller's or motor's table; None: not given."""
     bus, number = table.get("bus"), table.get("node_id", table.get("unit"))
     return (bus, number) if isinstance(bus, str) and isinstance(number, int) else None
+
+
+def controllers_in(files: Iterable[Attachment]) -> dict[tuple[str, int], Mapping[str, object]]:
+    """Return the tables of the controllers in an attached rig, by bus and node."""
+    tables = facts_of(files).settings.values()
+    return {place: table for table in tables if (place := place_of(table)) is not None}

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from motorhil.traces.decoding.attached_rig import RecordedNames, facts_of, names_of, place_of
+from motorhil.traces.decoding.attached_rig import RecordedNames, controllers_in, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.exchange.canopen import CanopenExchanges
 from motorhil.traces.exchange.drive_kinds import CAN_KINDS, readers_of
@@ -99,12 +99,8 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
 
 def _drives_of(trace: Trace) -> dict[tuple[str, int], Mapping[str, object]]:
     """Return the tables of the drives on CAN buses that have a protocol of their own."""
-    found: dict[tuple[str, int], Mapping[str, object]] = {}
-    for table in facts_of(trace.attachments).settings.values():
-        place = place_of(table)
-        if place is not None and table.get("kind") in CAN_KINDS:
-            found[place] = table
-    return found
+    tables = controllers_in(trace.attachments)
+    return {place: table for place, table in tables.items() if table.get("kind") in CAN_KINDS}
 
 
 def _exchanges_of_drives(
