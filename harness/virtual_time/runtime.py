@@ -114,9 +114,11 @@ class VirtualParty:
         return self.error is not None and not self.joined
 
 
-@final
-class PartyThread(threading.Thread):
-    """The thread of a party that `spawn` started."""
+PartyThread: Final[type[threading.Thread]] = type("PartyThread", (threading.Thread,), {})
+"""The thread of a party that `spawn` started.
+
+No class statement: a compiled class keeps its own fields where Thread keeps its weak references.
+"""
 
 
 @final
