@@ -43,6 +43,7 @@ _LOOK_S: Final = 0.1
 _GRACE_S: Final = 5.0
 _CHILDREN_MAX: Final = 256
 _LATE_MAX: Final = 1_024  # records; the buffer of a connection holds fewer
+_PATIENCE: Final = struct.pack("@ll", 0, 10_000)  # s, us; then the outputs of programs are read
 _PEER: Final = struct.Struct("3i")  # pid, uid, gid
 _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 
@@ -92,6 +93,10 @@ class _Turn:
         self.is_told: bool = False
         self._began_s = time.monotonic()
         self._late = 0
+
+    def is_late(self, stall_s: float) -> bool:
+        """Look at the clock; return whether the program has kept the turn for too long."""
+        return time.monotonic() - self._began_s > stall_s
 
     def is_over(self, stall_s: float, is_heard: bool) -> bool:
         """Look at the clock; return whether a killed program still keeps the turn."""
@@ -144,7 +149,7 @@ class SharedClock:
         self._end: Final[Callable[[str], None]] = end
         self._await_end: Final[Callable[[str], None]] = await_end
         self._programs: list[Participant] = []
-        self._poll: Final[select.poll] = select.poll()
+        self._poll: Final[select.poll] = select.poll()  # of outputs
         self._outputs: dict[int, Callable[[], bool]] = {}
         self._listener: Final[socket.socket] = _listener(path)
         self._of_children: Final[socket.socket] = _listener(Path(f"{path}{OF_CHILDREN}"))
@@ -208,6 +213,7 @@ class SharedClock:
             connection.close()
             return None
         connection.settimeout(None)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _PATIENCE)
         peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
         self._pids[_PEER.unpack(peer)[0]] = name
         buses = {bus: self.world.bus(bus).data_bitrate_bit_s for bus in self.world.bus_names()}
@@ -257,14 +263,26 @@ class SharedClock:
         return all(program.is_gone for program in self._programs)
 
     def receive(self, participant: Participant, is_first: bool) -> bytes:
-        """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
+        """Return the program's next message, b"" if it has gone; end it if it keeps the turn."""
         if is_first:
             self._turn = _Turn()
+        if not self._turn.is_late(self._stall_s(participant.name)):
+            try:
+                return participant.connection.recv(records.RECORD_MAX)
+            except BlockingIOError:  # it takes longer than most
+                pass
+            except OSError:
+                return b""
         self._poll.register(participant.connection, select.POLLIN)
         try:
             return self._awaited(participant)
         finally:
             self._poll.unregister(participant.connection)
+
+    def end_turn(self) -> None:
+        """Take what programs have printed, before another one prints."""
+        for fd, _ in self._poll.poll(0):
+            self._take(fd)
 
     def _awaited(self, participant: Participant) -> bytes:
         connection, turn = participant.connection, self._turn

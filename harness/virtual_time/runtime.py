@@ -329,7 +329,7 @@ class VirtualRuntime:
 
     def run_for(self, duration_s: float) -> None:
         """Let `duration_s` [s] pass."""
-        self.wait_until(_never, duration_s)
+        self.wait_until(never, duration_s)
 
     def interrupt(self) -> bool:
         """Raise KeyboardInterrupt in the first party after this event; for signal handlers.
@@ -557,7 +557,8 @@ def _at_once() -> bool:
     return True
 
 
-def _never() -> bool:
+def never() -> bool:
+    """Return False: the condition of a wait that only time ends."""
     return False
 
 

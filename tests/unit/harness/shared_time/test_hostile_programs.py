@@ -136,6 +136,7 @@ def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
         joined(path, "bad").close()
 
     monkeypatch.setattr(shared_clock_module.select, "poll", Watched)
+    monkeypatch.setattr(shared_clock_module._Turn, "is_late", lambda turn, stall_s: True)
     monkeypatch.setattr(shared_clock_module.SharedClock, "receive", receive)
     left, _ = run_with(tmp_path / "clock", bad)
     assert left["bad"] == "its connection has ended"
@@ -184,8 +185,8 @@ def test_program_that_ends_while_it_joins_is_named(tmp_path):
     ("record", "reason"),
     [
         (b"hello", "expected JOIN"),
-        (records.numbered(records.JOIN, 9, "bad"), "protocol 9: unknown; expected 1"),
-        (records.numbered(records.JOIN, 1, "other"), "program 'other': not awaited"),
+        (records.numbered(records.JOIN, 9, "bad"), "protocol 9: unknown; expected 2"),
+        (records.numbered(records.JOIN, 2, "other"), "program 'other': not awaited"),
     ],
 )
 def test_refused_program_hears_why(tmp_path, record, reason):
