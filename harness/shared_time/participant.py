@@ -32,6 +32,12 @@ _PORTS_MAX: Final = 256  # open at one time
 _PORT_NUMBERS: Final = 1 << 16
 _PERIODS_MAX: Final = 4096
 _PARTIES_MAX: Final = 1024
+# Plain integers, since the arithmetic of flags is slow.
+_PARTIES: Final = int(WaitFlags.PARTIES)
+_PROCESSES: Final = int(WaitFlags.PROCESSES)
+_DEAF: Final = int(WaitFlags.DEAF)
+_QUIET: Final = int(PortFlags.QUIET)
+_OTHERS: Final = int(PortFlags.OTHERS)
 _TAKEN: Final = bytes([records.TAKEN])
 _PENDING_MAX: Final = 16_384  # bytes of frames that a quiet program has not been told
 
@@ -166,10 +172,10 @@ class Participant:
 
     def _hear(self, kind: int, port: int, frame: bytes, time_ns: int, transmitted: bool) -> None:
         flags = self._flags[port]
-        if transmitted and flags & PortFlags.OTHERS:
+        if transmitted and flags & _OTHERS:
             return
         record = records.DELIVERY.pack(kind, port, time_ns, transmitted) + frame
-        if not flags & PortFlags.QUIET or self._pending_bytes > _PENDING_MAX:
+        if not flags & _QUIET or self._pending_bytes > _PENDING_MAX:
             self._call(record)
         elif not self.is_gone:
             self._pending.append(record)
@@ -358,9 +364,9 @@ class Participant:
         _, number, party, flags, deadline_ns = records.WAITING.unpack(record)
         if number in self._waits or len(self._waits) == _PARTIES_MAX or deadline_ns > END_NS:
             raise RecordError(f"wait {number}: used, beyond {_PARTIES_MAX} waits, or too long")
-        asks, is_deaf = bool(flags & WaitFlags.PROCESSES), bool(flags & WaitFlags.DEAF)
+        asks, is_deaf = bool(flags & _PROCESSES), bool(flags & _DEAF)
         done = partial(self._holds, number, asks, is_deaf)
-        on_parties = bool(flags & WaitFlags.PARTIES)
+        on_parties = bool(flags & _PARTIES)
         runtime = self._seat.runtime
         self._waits[number] = runtime.wait_elsewhere(
             self._parties[party], done, deadline_ns, on_parties
