@@ -272,7 +272,8 @@ class Participant:
         _, fd = records.NUMBERED.unpack_from(record)
         bus = records.text_of(record, records.NUMBERED.size)
         world = self._seat.world
-        if bus not in (*world.bus_names(), *world.line_names()) or len(self._ports) == _PORTS_MAX:
+        is_known = bus in world.bus_names() or bus in world.line_names()
+        if not is_known or len(self._ports) == _PORTS_MAX:
             raise RecordError(f"bus {bus!r} cannot be opened; {len(self._ports)} ports are open")
         number = self._free_port()
         hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))

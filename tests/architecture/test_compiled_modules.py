@@ -74,8 +74,6 @@ INTERPRETED = {
         "harness/python_can/hub_client.py",
         "harness/recording/loop.py",
         "harness/recording/socketcan.py",
-        "harness/shared_time/participant.py",
-        "harness/shared_time/records.py",
         "harness/shared_time/remote_world.py",
         "harness/shared_time/shared_clock.py",
         "harness/virtual_time/interrupts.py",
