@@ -342,6 +342,17 @@ class VirtualRuntime:
         self._interrupted = True
         return True
 
+    def is_interrupted(self) -> bool:
+        """Return True from `interrupt` until the first party has been told."""
+        return self._interrupted
+
+    def waits(self) -> list[tuple[str, int | None]]:
+        """Return who waits, the longest first, and until when [ns]; None without a timeout."""
+        return [
+            (self.whereabouts(one.party), None if one.deadline_ns == _NEVER else one.deadline_ns)
+            for one in self._waiters
+        ]
+
     def progress(self) -> tuple[int, int]:
         """Return the time [ns] and a count of turns: equal twice, nothing has happened between."""
         return self.queue.now_ns, self._turns

@@ -93,6 +93,44 @@ def test_silent_program_is_told_and_its_connection_closed(tmp_path):
     assert left["bad"] == "its connection has ended"
     assert [(name, level) for name, level, _ in told] == [("bad", "error"), ("bad", "warning")]
     assert "has kept the turn for 0.2 s" in told[0][2]
+    assert told[0][2].endswith("; waiting: good until 0.001 s")
+
+
+def test_ctrl_c_tells_who_has_the_turn_and_who_waits(tmp_path):
+    world, runtime, _ = new_world()
+    told = []
+    clock = shared_clock(world, runtime, tmp_path / "clock", told, {"busy": 60.0, "calm": 60.0})
+    is_told = threading.Event()
+
+    def calm():
+        with joined(tmp_path / "clock", "calm") as connection:
+            first_turn(connection)
+            connection.send(records.WAITING.pack(records.WAIT, 2, 0, 0, 5 * 10**9))
+            connection.send(records.COUNTED.pack(records.IDLE, 0))
+            is_told.wait(60.0)
+
+    def busy():
+        with joined(tmp_path / "clock", "busy") as connection:
+            first_turn(connection)
+            assert runtime.interrupt()
+            while not told:  # it computes
+                pass
+        is_told.set()
+
+    threads = [threading.Thread(target=one) for one in (calm, busy)]
+    for thread in threads:
+        thread.start()
+    clock.await_programs(["calm", "busy"], lambda name: True)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.wait_for_parties(clock.are_gone)
+    for thread in threads:
+        thread.join()
+    clock.close()
+    runtime.close()
+    name, level, text = told[0]
+    assert (name, level) == ("busy", "warning")
+    assert "Ctrl-C takes effect at its next wait" in text
+    assert text.endswith("; waiting: calm until 5 s")
 
 
 def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_path, monkeypatch):
