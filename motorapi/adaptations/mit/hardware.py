@@ -24,10 +24,8 @@ from motorhil.motorapi.api import (
     MotionTimes,
     Options,
     PeerError,
-    PeriodicMessage,
     SentFrame,
     SetpointStream,
-    SyncOffer,
     amount,
     positive,
 )
@@ -140,6 +138,8 @@ class MitHwMotor(CanHardware[MitOptions]):
         for can_id in self.frames.requests():
             drive.handle(can_id, partial(self._on_request, can_id))
         drive.every(own.period_ms / 1e3, self._beat)
+        can_id, data = self.frames.command(LIMP)
+        drive.starts_by(can_id, len(data))
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its ranges as far as it tells them.
@@ -160,13 +160,9 @@ class MitHwMotor(CanHardware[MitOptions]):
     def _connected(self) -> None:
         if self.frames.maker is Maker.DAMIAO:
             self._check_ranges()
-        period_s, is_extended = self.options.period_ms / 1e3, self.EXTENDED
-        can_id, data = self.frames.command(LIMP)
-        answer_id = next(iter(self.frames.answers()))
-        self.drive.note_traffic(
-            (PeriodicMessage(answer_id, 8, period_s, extended=is_extended),),
-            (PeriodicMessage(can_id, len(data), period_s, extended=is_extended),),
-        )
+        period_s = self.options.period_ms / 1e3
+        answer_id, (can_id, data) = next(iter(self.frames.answers())), self.frames.command(LIMP)
+        self.drive.note_frames([(answer_id, 8, period_s)], [(can_id, len(data), period_s)])
 
     def _knows(self) -> bool:
         return self.answer is not None
@@ -204,11 +200,6 @@ class MitHwMotor(CanHardware[MitOptions]):
         self._ratios.clear()
         self._set(plan)
         self.drive.confirm(sent)
-
-    def start_offer(self) -> SyncOffer:
-        """Return the offer of a start by the first command of a motion."""
-        can_id, data = self.frames.command(LIMP)
-        return self.drive.start_offer(can_id, len(data))
 
     def times(self) -> MotionTimes | None:
         """Return when the last motion began and ended on the bus; None: no motion yet."""
@@ -386,8 +377,7 @@ class MitHwMotor(CanHardware[MitOptions]):
         if asked in (Special.ENTER, Special.LEAVE):
             self.is_on = asked is Special.ENTER
         if asked:
-            self.forget()
-            self.drive.overheard(f"request {data.hex()}", time_ns)
+            self.overheard(f"request {data.hex()}", time_ns)
 
     def _lose(self) -> None:
         super()._lose()

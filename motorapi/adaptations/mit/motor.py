@@ -46,7 +46,6 @@ from motorhil.motorapi.api import (
     PeerError,
     Ramps,
     Setpoint,
-    SyncOffer,
     Trajectory,
     TrapezoidalTrajectory,
     adaptation,
@@ -143,9 +142,6 @@ class MitMotor(CanMotor[MitHwMotor]):
     def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
         if not can_stream(variable, command):
             super()._check_command(variable, command)
-
-    def _sync_offer(self) -> SyncOffer:
-        return self.hardware.start_offer()
 
     def _motion_times(self) -> MotionTimes | None:
         return self.hardware.times()
