@@ -3,6 +3,7 @@
 Frames that it sends are read by the functions of mini-cheetah-motor-driver-socketcan 0.4.3.
 """
 
+from functools import partial
 from pathlib import Path
 
 import can
@@ -28,6 +29,7 @@ from motorhil.motorapi import (
     UnsupportedError,
 )
 from motorhil.motorapi.adaptations.mit.frames import MODELS
+from motorhil.motorapi.adaptations.mit.hardware import LIMP
 from tests.support.kit_benches import RIGS
 
 EMULATED = {name: tuple(ranges) for name, (_, ranges) in EMULATED_MODELS.items()}
@@ -376,12 +378,11 @@ def test_motion_that_is_refused_is_not_kept():
         motor = rig.motors["left"]
         motor.enable()
         hardware = motor.hardware
-        held = hardware.present()
-        far = held._replace(p=2.0)
-        hardware.close()
+        hardware.release()
+        hardware.drive.close(at_rest=True)
         with pytest.raises(LinkError, match="closed"):
-            hardware.follow(lambda at_s: far, 1.0)
-        assert hardware.present() != far
+            hardware.motions.hold((2.0, 0.0), partial(hardware.send, ControlVariable.POSITION))
+        assert hardware.present() == LIMP
 
 
 def test_reader_does_not_disturb_another_program():
