@@ -31,7 +31,6 @@ from motorhil.motorapi.api import (
     ControlMode,
     ControlVariable,
     DeadlineExceeded,
-    LimitError,
     Measurement,
     Motion,
     MotorModel,
@@ -41,6 +40,7 @@ from motorhil.motorapi.api import (
     adaptation,
     output_sign,
     require_here,
+    require_within,
     text,
     whole,
     word,
@@ -92,16 +92,9 @@ class MitMotor(StreamedMotor[MitHwMotor]):
         if motion.function is not None:
             low, high = motion.function.bounds(*motion.interval)
             furthest = motion.offset + max(low, high, key=lambda end: abs(motion.offset + end))
-        if abs(furthest) > limit:
-            raise LimitError(
-                motor=self.name,
-                quantity=motion.variable.value,
-                value=furthest,
-                low=-limit,
-                high=limit,
-                unit=unit,
-                reason="the range of the drive's frames",
-            )
+        reason = "the range of the drive's frames"
+        quantity = motion.variable.value
+        require_within(self.name, quantity, furthest, (-limit, limit), unit, reason)
         self.hardware.trust_ranges()
         super()._command(motion)
 
