@@ -57,6 +57,8 @@ class MotorDrive(ABC):
         self._later: list[tuple[int, bytes]] = []
         self._out: list[bytes] = []
         self._events: list[tuple[str, str]] = []
+        if not isinstance(motor, Axis) and not motor.oscillator.is_ideal():
+            self.note("info", motor.oscillator.told())
 
     # --- what a drive adds
 
@@ -172,7 +174,8 @@ class MotorDrive(ABC):
     def wake(self, name: Hashable, wait_ns: int) -> None:
         """Set the time of this name, so long after the last update; 0: cancel it.
 
-        In place of a name, a method without arguments is called by `expire`.
+        In place of a name, a method without arguments is called by `expire`; of those that are due
+        at one time, the one that was set first.
         """
         if wait_ns:
             self.due_ns[name] = self.now_ns + wait_ns
