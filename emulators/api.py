@@ -41,7 +41,7 @@ from motorhil.emulators.motor_drive import (
     drive_builder,
     truncated,
 )
-from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.plant.dc_motor import RANGES, MotorPlant
 from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
@@ -78,6 +78,7 @@ __all__ = [
     "Controller",
     "ControllerContext",
     "MotorDrive",
+    "MotorPlant",
     "MotorSettings",
     "MotorTable",
     "NonvolatileMemory",
