@@ -68,7 +68,6 @@ test: $(READY)  ## everything that must hold, on one machine, in minutes; repeti
 check: style types  ## style, types, import contracts, links and language of the documents
 	$(BIN)/lint-imports
 	@$(BIN)/python -m tests.architecture.structure
-	@$(BIN)/python -m tests.architecture.kinds
 	$(BIN)/python -m pytest -p no:cacheprovider $(DOCUMENTS)
 
 style: $(READY)
