@@ -24,7 +24,7 @@ class MotorDrive(ABC):
     """A drive without its protocol; see `motorhil.emulators.api.Controller`.
 
     Args:
-        motor: its motor, or an axis made of it.
+        axis: its axis, or the motor of which the axis is made.
         faults: the codes that the input "fault" accepts.
         causes: the codes of the faults that the plant can cause, by flag of the axis.
 
@@ -41,12 +41,12 @@ class MotorDrive(ABC):
 
     def __init__(
         self,
-        motor: MotorSettings | Axis,
+        axis: MotorSettings | Axis,
         faults: Collection[int],
         causes: Mapping[int, int] | None = None,
     ) -> None:
         self.axis: Final[Axis] = (
-            motor if isinstance(motor, Axis) else axis_of(motor, motor.oscillator.rate())
+            axis if isinstance(axis, Axis) else axis_of(axis, axis.oscillator.rate())
         )
         self.is_powered: bool = False
         self.now_ns: int = 0
@@ -54,11 +54,12 @@ class MotorDrive(ABC):
         self.revision: int = 0
         self._faults: Final = faults
         self._causes: Final = causes or {}
+        self._watched_flags: Final = sum(self._causes)
         self._later: list[tuple[int, bytes]] = []
         self._out: list[bytes] = []
         self._events: list[tuple[str, str]] = []
-        if not isinstance(motor, Axis) and not motor.oscillator.is_ideal():
-            self.note("info", motor.oscillator.told())
+        if not isinstance(axis, Axis) and not axis.oscillator.is_ideal():
+            self.note("info", axis.oscillator.told())
 
     # --- what a drive adds
 
@@ -76,15 +77,20 @@ class MotorDrive(ABC):
         if not self.is_powered:
             return
         self.advance(now_ns)
-        due = [(at, one) for one, at in self.due_ns.items() if at <= now_ns and callable(one)]
-        for _, method in sorted(due, key=lambda one: one[0]):
+        due = [one for one, due_ns in self.due_ns.items() if due_ns <= now_ns and callable(one)]
+        if len(due) > 1:
+            due.sort(key=self.due_ns.__getitem__)
+        for method in due:
             if self.is_due(method):  # unless one before it has changed that
                 method()
-        self.queue_due()
+        if self._later:
+            self.queue_due()
 
     def causes(self) -> list[int]:
         """Return the codes of the faults that the plant causes now."""
-        active = self.axis.flags
+        active = self.axis.flags & self._watched_flags
+        if not active:
+            return []
         return [code for flag, code in self._causes.items() if active & flag]
 
     def watches(self) -> bool:
@@ -285,8 +291,10 @@ class CanMotorDrive(MotorDrive):
 
 def truncated(value: float, bits: int, *, signed: bool = True) -> int:
     """Return a number truncated toward zero, and limited to a size in bits."""
-    low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
-    return int(max(low, min(high, value)))
+    if not signed:
+        return int(max(0, min((1 << bits) - 1, value)))
+    most = 1 << bits - 1
+    return int(max(-most, min(most - 1, value)))
 
 
 def _listed(codes: Collection[int]) -> str:

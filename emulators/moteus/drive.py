@@ -183,6 +183,10 @@ class MoteusController(MotorDrive):
         """Return whether the plant can cause a fault now."""
         return self.mode > FAULT and self.axis.has_extras()
 
+    def expire(self, now_ns: int) -> None:
+        """Do what is due, of which `advance` knows all."""
+        self.advance(now_ns)
+
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time."""
         super().advance(now_ns)
