@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 
-_STEP_S: Final = 1e-4  # over which a rate is found
-
 
 class Course(NamedTuple):
     """A value with two derivatives over the time since the start [s], and its duration [s]."""
@@ -145,8 +143,8 @@ class StreamedMotion:
         is_still = variable is not ControlVariable.POSITION or not self.is_going
         if is_still and stream is not None and stream.last is not None:
             return stream.last, 0.0
-        at_s, demand = self._elapsed_s(), self._course.value
-        return demand(at_s), (demand(at_s + _STEP_S) - demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
+        value, rate, _ = self.demand()
+        return value, rate
 
     def demand(self) -> tuple[float, float, float]:
         """Return the demand of `variable` now, and two derivatives."""
