@@ -251,7 +251,7 @@ def test_method_of_a_class_of_its_own_is_no_hook():
     assert overridden([ast.parse(text)]) == frozenset()
 
 
-def test_kinds_that_speak_can_or_serial_import_the_interfaces_only():
+def test_kinds_but_dryve_import_the_interfaces_only():
     internal = {name: kind.internal for name, kind in kinds().items() if kind.internal}
     assert set(internal) == {"dryve"}  # a CiA 402 drive behind a gateway
     assert all(".canopen." in one or ".cia402." in one for one in internal["dryve"])
