@@ -79,6 +79,28 @@ class LimitError(UsageError):
         super().__init__(f"{motor}: {quantity} {value:g} {unit}, allowed is {allowed}{tail}")
 
 
+def require_within(
+    motor: str,
+    quantity: str,
+    value: float,
+    bounds: tuple[float | None, float],
+    unit: str,
+    reason: str,
+) -> None:
+    """Raise LimitError for a value outside its bounds; a lower bound of None: there is none."""
+    low, high = bounds
+    if value > high or (low is not None and value < low):
+        raise LimitError(
+            motor=motor,
+            quantity=quantity,
+            value=value,
+            low=low,
+            high=high,
+            unit=unit,
+            reason=reason,
+        )
+
+
 @final
 class DomainError(UsageError):
     """An argument outside the domain of a function.
