@@ -84,6 +84,7 @@ _FEEDS: Final = 3  # of the watchdog, within its time
 _WINDOW: Final = 0.1  # of the model's tolerance
 _REACHED: Final = 0.05  # of the model's velocity
 _HOME_OUTPUT: Final = 2
+_SINGLE: Final = 2.0**-23  # of a value: the step of the single precision of registers
 
 
 class Status(NamedTuple):
@@ -313,6 +314,14 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         is_there = isnan(order.position) or abs(status.control - order.position) <= window
         return status.is_done and is_near and is_there
 
+    def commanded(self, control: float) -> float:
+        """Return the commanded position [turns] that the drive has rounded to this one.
+
+        Rounding would otherwise accumulate, and a motor on a limit could start beyond it.
+        """
+        target = self._order.position
+        return target if abs(control - target) <= _SINGLE * abs(target) else control
+
     def _on_reply(self, data: bytes, time_ns: int) -> None:
         if len(data) >= _IDENTITY_REPLY.size and data[:3] == b"\x2a\x81\x02":
             _, _, self._register_map = _IDENTITY_REPLY.unpack_from(data)
@@ -437,7 +446,7 @@ class MoteusMotor(CanMotor[MoteusHwMotor]):
         if status is None or status.mode != POSITION:
             return self._read_position()
         self.hardware.drive.check()
-        return status.control / self._units
+        return self.hardware.commanded(status.control) / self._units
 
     def _read_fault(self) -> Fault | None:
         return self.hardware.fault
