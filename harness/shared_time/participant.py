@@ -174,8 +174,8 @@ class Participant:
     def _send(self, record: bytes) -> None:
         try:
             self.connection.send(record)
-        except OSError as error:
-            self._depart(f"its connection has ended ({error.strerror or error})")
+        except OSError:
+            self._depart("its connection has ended")
 
     def _open(self, record: bytes) -> None:
         _, fd = records.NUMBERED.unpack_from(record)

@@ -324,7 +324,7 @@ class SharedClock:
         if child is not None:
             if child.has_ended(_GRACE_S):  # its parent sees its end, and all that it has written
                 os.close(self._children.pop(participant.name).fd)
-        elif reason:
+        else:  # its locks are free, also those that it keeps until its end
             self._await_end(participant.name)
         if reason:
             self._tell(participant.name, "warning", f"has left the rig: {reason}")
