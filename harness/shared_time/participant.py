@@ -50,8 +50,11 @@ class Seat(Protocol):
     def admit(self, parent: "Participant", pid: int, name: str) -> str:
         """Wait until a child process has joined; return "", or why it has not."""
 
+    def look_for_deaths(self) -> None:
+        """Note the programs that have died while they waited."""
+
     def departed(self, participant: "Participant", reason: str) -> None:
-        """Tell that the program has gone; `reason` is "" if it has left by itself."""
+        """Close the connection of a program that has gone; `reason`: "" if it has left itself."""
 
 
 @final
@@ -116,6 +119,7 @@ class Participant:
         self._serve()
         self._has_turn = False
         self._seat.turns += 1
+        self._seat.look_for_deaths()
         while self._postponed and not self.is_gone:
             self._call(self._postponed.pop(0))
 
@@ -154,7 +158,7 @@ class Participant:
             record = self._seat.receive(self, is_first)
             is_first = False
             if not record:
-                self._depart("its connection has ended")
+                self.died()
                 return
             kind = record[0]
             try:
@@ -175,7 +179,7 @@ class Participant:
         try:
             self.connection.send(record)
         except OSError:
-            self._depart("its connection has ended")
+            self.died()
 
     def _open(self, record: bytes) -> None:
         _, fd = records.NUMBERED.unpack_from(record)
@@ -285,6 +289,10 @@ class Participant:
 
     # ---- its end -----------------------------------------------------------------------------
 
+    def died(self) -> None:
+        """End its part, since its connection has ended."""
+        self._depart("its connection has ended")
+
     def _depart(self, reason: str) -> None:
         """End its part: no call, no turn, no period; frames that are queued are still sent."""
         if self.is_gone:
@@ -294,5 +302,4 @@ class Participant:
             period.cancel()
         for _, port in self._ports.values():
             port.close()
-        self.connection.close()
         self._seat.departed(self, reason)

@@ -332,15 +332,9 @@ def _signal_of(pair: Pair) -> signal.Signals:
 
 
 def require_model(pair: Pair, run: Run, model: Run) -> None:
-    """Compare a run with the model: each program's output, and the record byte for byte.
-
-    The death of a program that waits is noticed when it is called next, so that the run may then be
-    longer than the model.
-    """
+    """Compare a run with the model: each program's output, and the record byte for byte."""
     _require_equal("lines", run.steps, model.steps)
-    is_longer = pair.killed and len(run.messages) > len(model.messages)
-    end = len(model.messages) if is_longer else None
-    _require_equal("messages", run.messages[:end], model.messages)
+    _require_equal("messages", run.messages, model.messages)
     _require_told(pair, run, _ends_of(pair, model))
 
 

@@ -53,11 +53,13 @@ class Script:
         self._mutexes = [threading.Lock() for _ in range(2)]
         self._queues = [queue.Queue() for _ in range(2)]
         self._events = [threading.Event() for _ in range(2)]
+        self._buses = []
         self.bus = None
 
     def run(self):
         """Carry out all steps."""
         self.bus = self.rig.open_bus()
+        self._buses.append(self.bus)
         try:
             self._carry_out(self._plan["steps"])
         except Exception:  # never for a death
@@ -71,7 +73,8 @@ class Script:
             thread.join()
         for period in self._periods:
             period.cancel()
-        self.bus.shutdown()
+        for bus in self._buses:
+            bus.shutdown()
 
     def say(self, *words):
         self._tell(f"@ {' '.join(map(str, words))} {self.rig.runtime.now_ns()}")
@@ -122,9 +125,11 @@ class Script:
         def hear(frame, time_ns, transmitted):
             if can_id_of(frame) == can_id and not transmitted:
                 answer = can.Message(arbitration_id=can_id + ECHOED, is_extended_id=False)
-                self.bus.send(answer)
+                bus.send(answer)
 
-        self.rig.runtime.listen(self.bus, hear)
+        bus = self.rig.open_bus()  # one with listeners keeps no frames for a receiver
+        self._buses.append(bus)
+        self.rig.runtime.listen(bus, hear)
 
     def every(self, period_s, count, can_id):
         left = [count]
@@ -228,6 +233,7 @@ class Script:
     def kill(self, name, number):
         self.say("kills", name)
         self._kill(name, number)
+        self.rig.runtime.run_for(1e-6)  # the rig notes it after this turn
 
 
 def kill(name, number):
