@@ -39,6 +39,8 @@ PATIENCE_S: Final = 60.0
 """The longest run on the wall clock; it takes less than a second."""
 EXECUTED: Final = 0.05
 """The share of pairs whose programs are executed, which takes a second; others are forked."""
+LATE_S: Final = 0.05
+"""How long the first program is stopped in some runs, so that it joins last."""
 KILLED: Final = 0.5
 """The share of pairs that run once more, with a kill at a moment of the wall clock."""
 KILL_S: Final = 0.3
@@ -80,6 +82,7 @@ class Pair:
         may_leave: the programs that may.
         is_shared: True if both use one motor, which hardware objects of one process cannot.
         killed: the program that the other one kills, or "".
+        is_late: True if the first one joins last.
     """
 
     plans: dict[str, dict[str, Any]]
@@ -87,6 +90,7 @@ class Pair:
     may_leave: tuple[str, ...] = ()
     is_shared: bool = False
     killed: str = ""
+    is_late: bool = False
 
     @property
     def dying(self) -> str:
@@ -166,7 +170,7 @@ def pair_of(seed: str) -> Pair:
         rig = (EXAMPLES / "two_wheels.toml").read_text()
         rig = rig.replace('"wheel_model.toml"', f'"{EXAMPLES / "wheel_model.toml"}"')
     may_leave = tuple(name for name in plans if dice.random() < 0.3)
-    return Pair(plans, rig, may_leave, kind == "shared", killed)
+    return Pair(plans, rig, may_leave, kind == "shared", killed, dice.random() < 0.5)
 
 
 @final
@@ -215,6 +219,13 @@ def as_parties(pair: Pair, folder: Path) -> Run:
     return run
 
 
+def _go_on(fd: int) -> None:
+    """Let a stopped process go on, if it still lives."""
+    with suppress(ProcessLookupError):
+        signal.pidfd_send_signal(fd, signal.SIGCONT)
+    os.close(fd)
+
+
 @final
 class Starter:
     """Start of the programs of a run, in the place of subprocess.Popen.
@@ -223,11 +234,13 @@ class Starter:
         begin: starts one.
         count: how many there will be.
         disturb: called with the processes once the last one is started.
+        is_late: True if the first one joins last.
     """
 
-    def __init__(self, begin: Start, count: int, disturb: Disturb) -> None:
+    def __init__(self, begin: Start, count: int, disturb: Disturb, is_late: bool) -> None:
         self.processes: list[Any] = []
-        self.is_late: bool = False
+        self.has_hung: bool = False
+        self._is_late = is_late
         self._begin = begin
         self._count = count
         self._disturb = disturb
@@ -235,14 +248,18 @@ class Starter:
 
     def __call__(self, *words: Any, **facts: Any) -> object:
         """Start a program."""
-        self.processes.append(self._begin(*words, **facts))
+        process: Any = self._begin(*words, **facts)
+        self.processes.append(process)
+        if self._is_late and len(self.processes) == 1:
+            os.kill(process.pid, signal.SIGSTOP)
+            threading.Timer(LATE_S, _go_on, (os.pidfd_open(process.pid),)).start()
         if len(self.processes) == self._count:
             self._timer.start()
             self._disturb(self.processes)
-        return self.processes[-1]
+        return process
 
     def _end(self) -> None:
-        self.is_late = True
+        self.has_hung = True
         for one in self.processes:
             with suppress(ProcessLookupError):
                 os.killpg(one.pid, signal.SIGKILL)
@@ -250,7 +267,7 @@ class Starter:
     def require_end(self) -> None:
         """Raise AssertionError if the run took too long, or a process of it remains."""
         self._timer.cancel()
-        assert not self.is_late, f"the run has not ended within {PATIENCE_S:g} s"
+        assert not self.has_hung, f"the run has not ended within {PATIENCE_S:g} s"
         for number, one in enumerate(self.processes):
             with suppress(ProcessLookupError):
                 os.killpg(one.pid, signal.SIGKILL)
@@ -284,7 +301,7 @@ def as_processes(
     for pid in folder.glob(f"{scripted_program.PIDS}*"):
         pid.unlink()
     run = Run(folder / f"{name}.mcap")
-    starter = Starter(begin, len(pair.plans), disturb)
+    starter = Starter(begin, len(pair.plans), disturb, pair.is_late)
     with TemporaryDirectory(dir=folder) as temporary, patch.object(tempfile, "tempdir", temporary):
         try:
             with (
