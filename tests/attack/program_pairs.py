@@ -30,9 +30,9 @@ from motorhil.harness.shared_time import programs
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace
 from tests.attack.campaign import Attack, Attempt, Done
-from tests.support.programs import scripted_program
-from tests.support.programs.fork_server import ForkServer
-from tests.support.programs.scripted_parties import Parties
+from tests.support.programs.scripted import program as scripted
+from tests.support.programs.scripted.fork_server import ForkServer
+from tests.support.programs.scripted.parties import Parties
 
 STEPS_MAX: Final = 9
 PATIENCE_S: Final = 60.0
@@ -77,7 +77,7 @@ class Pair:
     """Two programs, and the end of one of them.
 
     Attributes:
-        plans: by name, as `scripted_program` reads them.
+        plans: by name, as `scripted.program` reads them.
         rig: the rig without its programs.
         may_leave: the programs that may.
         is_shared: True if both use one motor, which hardware objects of one process cannot.
@@ -291,14 +291,14 @@ def as_processes(
         RigError: a program has not joined.
     """
     text = pair.rig
-    script = Path(scripted_program.__file__)
+    script = Path(scripted.__file__)
     for program in pair.plans:
         may_leave = str(program in pair.may_leave).lower()
         text += f"\n[program.{program}]\nmay_leave = {may_leave}\n"
         text += f'command = ["python", "{script}", "plan.json", "{program}"]\n'
     (folder / "rig.toml").write_text(text)
     (folder / "plan.json").write_text(json.dumps(pair.plans))
-    for pid in folder.glob(f"{scripted_program.PIDS}*"):
+    for pid in folder.glob(f"{scripted.PIDS}*"):
         pid.unlink()
     run = Run(folder / f"{name}.mcap")
     starter = Starter(begin, len(pair.plans), disturb, pair.is_late)

@@ -6,7 +6,7 @@ import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.shared_time.programs import run_programs
-from tests.support.programs.fork_server import ForkServer
+from tests.support.programs.scripted.fork_server import ForkServer
 
 pytestmark = pytest.mark.wall
 

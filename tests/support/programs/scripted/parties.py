@@ -18,7 +18,7 @@ from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
-from tests.support.programs.scripted_program import Script
+from tests.support.programs.scripted.program import Script
 
 
 class Dead(BaseException):

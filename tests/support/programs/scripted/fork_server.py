@@ -13,9 +13,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.support.checkout import CHECKOUT
-
 PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
+_TESTS = Path(__file__).parents[4]  # the folder of the package of tests
 
 
 class Forked:
@@ -45,13 +44,15 @@ class Forked:
 class ForkServer:
     """The server; programs become children of this process, which adopts orphans meanwhile."""
 
+    open_count = 0
+
     def __init__(self):
-        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
+        self._count(1)
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-u", "-m", __name__, str(theirs.fileno())],
-                cwd=CHECKOUT,
+                cwd=_TESTS,
                 pass_fds=[theirs.fileno()],
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
@@ -70,7 +71,13 @@ class ForkServer:
         """End the server, but no program."""
         self._socket.close()
         self._process.wait()
-        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 0)
+        self._count(-1)
+
+    @classmethod
+    def _count(cls, change):
+        """Adopt orphans while any server is open."""
+        cls.open_count += change
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, int(cls.open_count > 0))
 
 
 def _serve(connection):
@@ -113,7 +120,7 @@ def _become(words, output):
 
 if __name__ == "__main__":
     from motorhil.harness.shared_time import unmodified
-    from tests.support.programs import scripted_program  # noqa: F401 -- imports for programs
+    from tests.support.programs.scripted import program  # noqa: F401 -- imports for programs
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     _become(*_serve(socket.socket(fileno=int(sys.argv[1]))))

@@ -1,6 +1,6 @@
 """A program that carries out the steps of a plan: in a process of its own, or as a party.
 
-python scripted_program.py PLAN NAME
+python program.py PLAN NAME
 
 The plan is JSON: by name, a list of steps [KIND, FACTS ...]; see the methods of `Script`. Each line
 of output begins with "@" and ends with the rig's time [ns].
