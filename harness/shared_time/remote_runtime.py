@@ -66,7 +66,8 @@ class RemoteLink:
             self.is_open = False
             with suppress(OSError):
                 self._send(bytes([records.LEAVE]))
-        self._connection.close()
+        with suppress(OSError):  # the program itself may have closed it
+            self._connection.close()
 
 
 @final

@@ -222,6 +222,12 @@ def test_hostile_program_is_told_by_name_and_ends(run, bad, end, told):
         assert any(part in line for line in lines), lines
 
 
+def test_program_that_closes_its_connection_has_one_error(run):
+    lines, wrong = run("os.closerange(3, 256)\ntime.sleep(1)")
+    assert wrong == "exit status 1"
+    assert sum("Traceback" in line for line in lines) == 1, lines
+
+
 HANDLER = """
 def handle(*_):
     time.sleep(0.5)
