@@ -54,7 +54,7 @@ class Seat(Protocol):
         """Note the programs that have died while they waited."""
 
     def departed(self, participant: "Participant", reason: str) -> None:
-        """Close the connection of a program that has gone; `reason`: "" if it has left itself."""
+        """Close the connection of a program that has gone; `reason` is "" if it left by itself."""
 
 
 @final

@@ -352,10 +352,10 @@ class VirtualRuntime:
         return True
 
     def call_in_turn(self, handler: Callable[[], None]) -> bool:
-        """Call a signal handler in the first party's turn, soon; its wait then goes on.
+        """Call a signal handler in the next turn of this thread's party, whose wait continues then.
 
         Returns:
-            True if that will happen; False if the party of this thread does not wait.
+            False if the party does not wait, or there is none: nothing was done.
         """
         party = self._parties.get(threading.get_ident())
         if party is None or not party.is_waiting:

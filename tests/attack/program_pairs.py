@@ -1,8 +1,8 @@
 """Pairs of random programs that share a rig's time, in processes of their own.
 
 Their record must be that of the same programs as parties of one process, byte for byte. One of them
-may die at any step, or at any moment of the wall clock: that is told by name, the other one goes on
-as the model does, the run ends, and no process or lock remains.
+may die at any step, or at any moment of the wall clock. The run must name it, and must end. The
+other program must continue as in the model. No process and no lock may remain.
 """
 
 import json

@@ -1,9 +1,9 @@
-"""Signal handlers of programs, which run in a turn of the program's first party.
+"""Signal handlers of programs, which run in a turn of the main thread.
 
-Python calls a handler in the main thread, also while that waits. There it would act beside the
-party that has the turn, and an exception would end the wait behind the back of the other parties.
-So a handler is postponed until the main thread has its turn, which comes soon. The handler may
-wait. After it the interrupted wait goes on.
+Python calls a handler in the main thread, also while that thread waits. The handler would then act
+beside the party that has the turn. Its exception would end a wait that other parties still count.
+So a handler is postponed to the next turn of the main thread. The handler may wait. The interrupted
+wait continues after it.
 """
 
 import signal
@@ -28,7 +28,7 @@ def _postponed(runtime: VirtualRuntime, handler: Callable[..., Any]) -> Callable
 
 
 def postpone_interrupt(runtime: VirtualRuntime) -> None:
-    """Postpone the KeyboardInterrupt of a SIGINT, unless that has another handler."""
+    """Postpone the KeyboardInterrupt of SIGINT, unless the signal has another handler."""
     if _getsignal(signal.SIGINT) is signal.default_int_handler:
         _signal(signal.SIGINT, _postponed(runtime, signal.default_int_handler))
 
