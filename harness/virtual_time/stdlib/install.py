@@ -33,6 +33,7 @@ from motorhil.harness.virtual_time.stdlib import (
     descriptors,
     multiprocess,
     refusals,
+    signals,
     threads,
 )
 from motorhil.harness.virtual_time.stdlib import clocks as dates
@@ -103,6 +104,7 @@ def _pairs() -> list[tuple[object, object]]:
         *dates.date_stand_ins(),
         *descriptors.stand_ins(),
         *refusals.stand_ins(),
+        *signals.stand_ins(),
         *multiprocess.stand_ins(),
     ]
 
