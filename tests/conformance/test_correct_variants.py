@@ -77,12 +77,20 @@ def test_vendor_drive_is_not_accused(tmp_path, shared, file):
     assert accusations(opener_of(tmp_path, *of_vendor(shared / "data" / "eds" / file)), names) == []
 
 
-ONCE_ACCUSED = [("slow SDO server", "LEAD-02")]  # its argument ran away while the drive started
+ONCE_ACCUSED = [
+    ("slow SDO server", "LEAD-02", 1),  # its argument ran away while the drive started
+    ("quirk heartbeat_jitter", "HOME-03", 4),  # the first heartbeat came after the first reading
+]
 
 
-@pytest.mark.parametrize(("name", "clause"), ONCE_ACCUSED)
-def test_variant_once_accused_passes(tmp_path, name, clause):
-    assert accusations(opener_of(tmp_path, *VARIANTS[name]), [clause]) == []
+@pytest.mark.parametrize(("name", "clause", "seed"), ONCE_ACCUSED)
+def test_variant_once_accused_passes(tmp_path, name, clause, seed):
+    assert accusations(opener_of(tmp_path, *VARIANTS[name], seed=seed), [clause]) == []
+
+
+def test_motor_of_another_kind_once_accused_passes():
+    """Check moteus at 5 rad, whose limit is rounded up: it was refused the way back."""
+    assert accusations(Target(Job("moteus")).opener(None, "starts at 5 rad"), ["LIM-01"]) == []
 
 
 @pytest.mark.nightly

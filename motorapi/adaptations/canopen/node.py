@@ -120,9 +120,12 @@ class CanopenNode:
             self.news.grow()
 
     def expect_heartbeat(self) -> None:
-        """Regard silence as the loss of the drive from now on."""
-        if self._heartbeat_timeout_ms and self._silence is None:
-            self._heartbeat_ns = self.link.runtime.now_ns()
+        """Regard silence as the loss of the drive from now on; it has just answered."""
+        if not self._heartbeat_timeout_ms:
+            return
+        self._heartbeat_ns = self.link.runtime.now_ns()
+        self.lost_since_ns = None
+        if self._silence is None:
             self._look_again_in(self._heartbeat_timeout_ms * 1_000_000)
 
     def _look_again_in(self, wait_ns: int) -> None:
