@@ -124,6 +124,7 @@ class Script:
 
         def hear(frame, time_ns, transmitted):
             if can_id_of(frame) == can_id and not transmitted:
+                self.say("echoes")
                 answer = can.Message(arbitration_id=can_id + ECHOED, is_extended_id=False)
                 bus.send(answer)
 
