@@ -13,7 +13,9 @@ from motorhil.harness.conformance.kit import in_order
 
 _MODULES: Final = (
     "dictionary",
-    "network",
+    "communication.transfers",
+    "communication.network",
+    "communication.services",
     "power",
     "positioning",
     "velocity",
@@ -23,7 +25,9 @@ _MODULES: Final = (
     "inputs",
     "torque",
     "factors",
-    "process_data",
+    "communication.process_data",
+    "communication.mapping",
+    "communication.synchronisation",
     "cyclic",
     "errors",
 )

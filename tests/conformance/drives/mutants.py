@@ -7,7 +7,7 @@ object of the rig. Its docstring describes it.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from motorhil.emulators.canopen import sdo_server
+from motorhil.emulators.canopen import error_control, lss, pdo, pdo_mapping, sdo_server, sync
 from motorhil.emulators.canopen.codes import AbortCode
 from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
 from motorhil.emulators.canopen.error_control import HeartbeatConsumer, HeartbeatProducer
@@ -1184,3 +1184,190 @@ def disabling_is_not_taken_back(patch):
         return write
 
     _wrap(patch, PowerDrive, "_write_controlword", make)
+
+
+# --- transfers and services of the node
+
+
+@mutant("SDO-01")
+def block_crc_begins_with_ones(patch):
+    """The CRC of block transfers begins with FFFFh."""
+
+    def make(good):
+        return lambda data: good(b"\x84\xcf" + data)  # after these two bytes it is FFFFh
+
+    _wrap(patch, sdo_server, "block_crc", make)
+
+
+@mutant("SDO-01")
+def lost_segment_is_not_repeated(patch):
+    """A block upload goes on behind a segment that was not confirmed."""
+
+    def make(good):
+        return lambda self, good_ones, size: good(self, self._sent, size)
+
+    _wrap(patch, sdo_server.BlockUpload, "confirm", make)
+
+
+@mutant("SDO-02")
+def gap_in_a_block_is_taken(patch):
+    """A block download takes its segments whatever their numbers."""
+
+    def make(good):
+        def segment(self, head, data):
+            self._good = (head & 0x7F) - 1
+            return good(self, head, data)
+
+        return segment
+
+    _wrap(patch, sdo_server.BlockDownload, "segment", make)
+
+
+@mutant("SDO-03")
+def toggle_error_is_a_general_error(patch):
+    """A toggle bit that does not alternate is refused with 0800 0000h."""
+    _aborts_as(patch, (AbortCode.TOGGLE_BIT_NOT_ALTERNATED,), AbortCode.GENERAL_ERROR)
+
+
+@mutant("SDO-03")
+def wrong_crc_is_taken(patch):
+    """The CRC of a block download is not checked."""
+
+    def make(good):
+        return lambda self, unused, crc: good(self, unused, sdo_server.block_crc(self.sent(unused)))
+
+    def sent(self, unused):
+        return bytes(self._data[: len(self._data) - unused])
+
+    patch.setattr(sdo_server.BlockDownload, "sent", sent, raising=False)
+    _wrap(patch, sdo_server.BlockDownload, "end", make)
+
+
+@mutant("GUARD-01")
+def toggle_bit_of_guarding_stands(patch):
+    """The answers of node guarding have no toggle bit."""
+    patch.setattr(error_control, "_TOGGLE", 0)
+
+
+@mutant("GUARD-02")
+def life_time_is_the_guard_time(patch):
+    """The master is lost after the guard time, whatever the life time factor."""
+
+    def make(good):
+        def configure(self, now_ns):
+            good(self, now_ns)
+            self._life_ns = self._od.integer(0x100C, 0, 0) * 1_000_000
+
+        return configure
+
+    _wrap(patch, error_control.NodeGuarding, "configure", make)
+
+
+@mutant("NMT-06")
+def all_hosts_have_the_first_ones_time(patch):
+    """All entries of 1016h have the time of the first one."""
+
+    def make(good):
+        def configure(self):
+            lost = good(self)
+            for watch in self._watches:
+                watch.period_ns = self._watches[0].period_ns
+            return lost
+
+        return configure
+
+    _wrap(patch, HeartbeatConsumer, "configure", make)
+
+
+@mutant("EMCY-01")
+def emcy_keeps_its_identifier(patch):
+    """EMCY has 80h + node-ID, whatever 1014h says."""
+
+    def make(good):
+        def configure(self, now_ns):
+            good(self, now_ns)
+            self._can_id = self._can_id and 0x85
+
+        return configure
+
+    _wrap(patch, EmcyProducer, "configure", make)
+
+
+@mutant("LSS-01")
+def any_serial_number_is_identified(patch):
+    """LSS identifies the drive by any serial number."""
+
+    def make(good):
+        def identify(self, place, number, now_ns):
+            good(self, place, 0 if place == 4 else 0xFFFF_FFFF if place == 5 else number, now_ns)
+
+        return identify
+
+    _wrap(patch, lss.LssSlave, "_identify", make)
+
+
+@mutant("LSS-02")
+def node_id_is_active_at_once(patch):
+    """A node-ID of LSS is reported before the reset."""
+
+    def make(good):
+        def configure(self, command, frame, node_id, now_ns):
+            good(self, command, frame, self.pending_node_id, now_ns)
+
+        return configure
+
+    _wrap(patch, lss.LssSlave, "_configure", make)
+
+
+@mutant("PDO-08")
+def sampled_tpdo_has_present_values(patch):
+    """A TPDO of type 252 has the values at the request."""
+    patch.setattr(pdo, "SAMPLED_ON_REQUEST", 251)
+
+
+@mutant("PDO-09")
+def mapping_is_changed_while_valid(patch):
+    """The mapping of a PDO can be changed while it is valid."""
+    _always(patch, PdoParameters, "is_valid", False)
+
+
+@mutant("PDO-10")
+def dummies_take_no_space(patch):
+    """A dummy entry of an RPDO is left out."""
+
+    def make(good):
+        return lambda entries: good([one for one in entries if one[0] is not None])
+
+    _wrap(patch, pdo_mapping, "PdoMapping", make)
+
+
+@mutant("PDO-11")
+def missing_rpdo_is_not_told(patch):
+    """An RPDO that does not come in time sends no EMCY."""
+    _wrap(patch, Rpdo, "receive_watched", lambda good: lambda self, *args: self.receive(*args))
+
+
+@mutant("SYN-01")
+def sync_counter_is_not_required(patch):
+    """A SYNC of any length counts."""
+    _always(patch, sync.SyncService, "is_right", True)
+
+
+@mutant("SYN-02")
+def own_sync_is_twice_as_slow(patch):
+    """The drive sends SYNC each 1006h times two."""
+
+    def make(good):
+        def begin(self, now_ns):
+            good(self, now_ns)
+            self._period_ns *= 2
+
+        return begin
+
+    _wrap(patch, sync.SyncService, "_begin", make)
+
+
+@mutant("SYN-03")
+def sync_window_is_ignored(patch):
+    """A synchronous RPDO counts after its window, too."""
+    _always(patch, Rpdo, "is_plain", True)
