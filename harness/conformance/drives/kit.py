@@ -20,6 +20,7 @@ _MODULES: Final = (
     "positioning",
     "velocity",
     "supervision",
+    "plant",
     "stopping",
     "homing",
     "inputs",

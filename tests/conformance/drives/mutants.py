@@ -29,7 +29,7 @@ from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
-from motorhil.emulators.firmware import flags, profile
+from motorhil.emulators.firmware import clock, flags, nonlinear_servo, nonlinear_tables, profile
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
 from tests.conformance.drives.rigs import DRIVES
@@ -1371,3 +1371,116 @@ def own_sync_is_twice_as_slow(patch):
 def sync_window_is_ignored(patch):
     """A synchronous RPDO counts after its window, too."""
     _always(patch, Rpdo, "is_plain", True)
+
+
+# --- the plant
+
+
+@mutant("PLANT-01", DRIVES["warm"])
+def housing_is_not_warmed(patch):
+    """The winding gets warm as if its housing stayed at the temperature of the air."""
+
+    def make(good):
+        def warming(plant, slow_s):
+            ww, wh, wp, _, hh, _ = good(plant, slow_s)
+            return ww, wh, wp, 0.0, hh, 0.0
+
+        return warming
+
+    _wrap(patch, nonlinear_tables, "_warming", make)
+
+
+@mutant("PLANT-02", DRIVES["i2t"])
+def i2t_never_empties(patch):
+    """I2t keeps its level at currents below the continuous one."""
+
+    def make(good):
+        def reckon(tables, winding, housing, level, losses):
+            winding, housing, after = good(tables, winding, housing, level, losses)
+            return winding, housing, max(level, after)
+
+        return reckon
+
+    _wrap(patch, nonlinear_servo, "reckon", make)
+
+
+@mutant("PLANT-03", DRIVES["chopper"])
+def chopper_takes_no_current(patch):
+    """The brake chopper never conducts."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.chopper_1_ohm = 0.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.ExtrasTables, "__init__", make)
+
+
+@mutant("PLANT-04", DRIVES["end stops"])
+def end_stop_swallows_the_speed(patch):
+    """The load does not rebound."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.restitution = 0.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-05", DRIVES["pendulum"])
+def pendulum_stands_on_its_head(patch):
+    """Gravity has the other sign."""
+    _wrap(patch, nonlinear_servo, "wave", lambda good: lambda turns: -good(turns))
+
+
+@mutant("PLANT-06", DRIVES["sticky"])
+def static_friction_falls_off_slowly(patch):
+    """Static friction falls at ten times the Stribeck speed."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.stribeck /= 100.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-07", DRIVES["cogging"])
+def motor_cogs_twice_as_often(patch):
+    """The cogging torque has twice as many periods."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.cogging_inc *= 2.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-08", DRIVES["friction at the output"])
+def friction_of_the_output_is_the_motors(patch):
+    """The Coulomb friction of the load is taken for that of the motor."""
+
+    def make(good):
+        def init(self, plant, *args, **kwargs):
+            good(self, plant, *args, **kwargs)
+            self.coulomb = plant.coulomb_friction_n_m + plant.extras.output_coulomb_friction_n_m
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-09", DRIVES["late wakes"])
+def lateness_is_always_the_same(patch):
+    """A drive with jitter is always as late as it can be."""
+    patch.setattr(clock, "lateness_ns", lambda seed, due_ns, jitter_ns: jitter_ns)
