@@ -80,7 +80,8 @@ DRIVES: dict[str, str] = {
     "switches": (
         "switches = { negative_limit_rad = -1.0, positive_limit_rad = 6.0,"
         " home_from_rad = 0.5, home_to_rad = 0.7, touch_probe_1_from_rad = 0.2,"
-        " touch_probe_1_to_rad = 0.3, touch_probe_2_from_rad = -0.5, index_rad = 0.7 }"
+        " touch_probe_1_to_rad = 0.3, touch_probe_2_from_rad = -0.5,"
+        " touch_probe_2_to_rad = 900.0, index_rad = 0.7 }"
     ),
     "own clock": "oscillator = { ppm = -8000.0 }",
     "units": (
@@ -89,8 +90,10 @@ DRIVES: dict[str, str] = {
         " acceleration_unit_inc_s2 = 100.0 }"
     ),
     "sync supervision": (
-        "cyclic = { sync_lost_periods = 3 }\n"
-        'protection = { sto = "fault", sto_error_code = 0xFF01 }'
+        "cyclic = { sync_lost_periods = 3, sync_lost_code = 0xFF02 }\n"
+        'protection = { sto = "fault", sto_error_code = 0xFF01,'
+        " device_temperature_warning_c = 70.0, device_temperature_max_c = 90.0 }\n"
+        "servo = { tick_s = 0.001, current_steps = 20 }"
     ),
     "backlash": (
         'plant = { preset = "wheel_60w", backlash_rad = 0.0003,'
@@ -135,7 +138,8 @@ DRIVES: dict[str, str] = {
         'plant = { preset = "wheel_60w", static_friction_n_m = 0.012, stribeck_speed_rad_s = 5.0 }'
     ),
     "cogging": (
-        'plant = { preset = "wheel_60w", cogging_torque_n_m = 0.008, cogging_periods_rev = 12 }'
+        'plant = { preset = "wheel_60w", cogging_torque_n_m = 0.004, cogging_periods_rev = 12,'
+        " load_torque_n_m = 0.1 }\noscillator = { ppm_max = 50.0, phase_max_s = 0.001 }"
     ),
     "friction at the output": (
         'plant = { preset = "wheel_60w", output_viscous_friction_n_m_s_rad = 1.0,'
@@ -155,7 +159,8 @@ DRIVES: dict[str, str] = {
     ),
     "lean": (
         f'eds = "{_eds("lean", without=_LEAN)}"\n'
-        'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }'
+        'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
+        "switches = { index_pulse = false }"
     ),
     "legal quirks": f"quirks = {LEGAL}",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},

@@ -16,6 +16,27 @@ VARIANTS: Final = (
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
     "position limits in the drive",
 )
+VARIED: Final = {
+    "cia402": (
+        *("motor options", "lost host disables", "lost host is a fault"),
+        *("units of the drive + reversing gear", "drive boots late + home offset"),
+        *("three motors + fast clock", "two buses with equal node-IDs + slow SDO server"),
+        *("quirk inverted_set_point_acknowledge", "quirk single_set_point_only"),
+        *("limited jerk", "busy bus + a second program reads"),
+    ),
+    "dryve": ("dryve options + dryve drive options + velocities in rpm",),
+    "dynamixel": ("servo in velocity mode", "servo options + servo drive options"),
+    "ideal": ("ideal motor begins at 0.3 rad + limited jerk",),
+    "leadshine": ("Leadshine options + Leadshine drive options + Leadshine over TCP",),
+    "mit": ("impedance options + impedance drive options + other ranges",),
+    "moteus": ("moteus options + moteus drive options",),
+    "oriental_az": ("AZ options + AZ drive options + AZ over TCP",),
+    "rmd": ("RMD options + RMD drive options",),
+    "robstride": ("RobStride options + other ranges of a RobStride",),
+    "software": ("servo options of the host + gains of the host's servo", "amplifier options"),
+    "vesc": ("VESC options + VESC drive options",),
+}
+"""Further variations of the kit, by kind: those of options, and pairs of others."""
 _OF: Final = "cia402: "
 _DRIVE: Final = "drive: "
 
@@ -27,7 +48,8 @@ def names() -> tuple[str, ...]:
     from tests.support.kit_benches import KINDS
 
     variants = (f"{_OF}{one}" for one in VARIANTS)
-    return (*KINDS, *variants, *(f"{_DRIVE}{one}" for one in DRIVES))
+    varied = (f"{kind}: {name}" for kind, names in VARIED.items() for name in names)
+    return (*KINDS, *variants, *varied, *(f"{_DRIVE}{one}" for one in DRIVES))
 
 
 def is_of_drive(name: str) -> bool:
@@ -58,6 +80,8 @@ def has_known_finding(clause: str, name: str) -> bool:
 def opener(name: str) -> Any:
     """Return an opener of this bench."""
     from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+    from motorhil.harness.conformance.job import Job
+    from motorhil.harness.conformance.target import Target
     from motorhil.harness.rig.config.rig_file import read_rig
     from motorhil.harness.rig.rig import installed_plugins
     from tests.conformance import variants
@@ -66,7 +90,10 @@ def opener(name: str) -> Any:
 
     if is_of_drive(name):
         return rigs.opener(name.removeprefix(_DRIVE))
-    if not name.startswith(_OF):
+    kind, _, variation = name.partition(": ")
+    if variation in VARIED.get(kind, ()):
+        return Target(Job(kind)).opener(None, variation)
+    if not variation:
         return kit_benches.opener(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "rig.toml")
