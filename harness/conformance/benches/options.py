@@ -15,6 +15,10 @@ _RANGES: Final = (
 )
 
 
+_ACCELERATION: Final = "acceleration_max_rad_s2 = 4.0\n"
+_JERK: Final = (_ACCELERATION, f"{_ACCELERATION}jerk_max_rad_s3 = 8.0\n")
+
+
 def of_motor(kind: str, settings: str) -> list[Change]:
     """Return the change that gives both motors of an adaptation these settings."""
     return [(f'adaptation = "{kind}"\n', f'adaptation = "{kind}"\n{settings}\n')]
@@ -43,6 +47,7 @@ _CIA402: Final[Mapping[str, Sequence[Change]]] = {
     ),
     "lost host disables": of_motor("cia402", "connection_loss = 2"),
     "lost host is a fault": of_motor("cia402", "connection_loss = 1"),
+    "limited jerk": [('kind = "cia402"\n', 'kind = "cia402"\n'), _JERK],
     "drive boots late": [
         ('kind = "cia402"\n', 'kind = "cia402"\ntiming = { boot_up_s = 1.0, enable_s = 0.1 }\n')
     ],
@@ -104,12 +109,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     "ideal motor begins at 0.3 rad": of_motor(
         "ideal", "position_rad = 0.3\ntorque_constant_n_m_a = 0.5"
     ),
-    "limited jerk": [
-        (
-            "acceleration_max_rad_s2 = 4.0\n",
-            "acceleration_max_rad_s2 = 4.0\njerk_max_rad_s3 = 8.0\n",
-        )
-    ],
+    "ideal motor with limited jerk": [('adaptation = "ideal"\n', 'adaptation = "ideal"\n'), _JERK],
     "Leadshine over TCP": _over_tcp("leadshine_pr"),
     "Leadshine options": of_motor("leadshine", "timeout_s = 0.15"),
     "AZ over TCP": _over_tcp("oriental_az"),
