@@ -215,6 +215,7 @@ def command_to_lost_drive_is_never_executed_later(bench: RigProtocol) -> None:
 @clause(
     "LOST-07",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.RESTART, Ability.AFRESH},
     source="CiA 301, 7.2.8.3.3 boot-up; MotorHooks._connect",
 )
