@@ -16,7 +16,7 @@ from tests.support.kit_benches import KINDS, claims, opener
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
 _OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05")
-_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08")
+_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01")
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
@@ -84,7 +84,10 @@ NOT_APPLICABLE = {
     "rmd": _SAMPLED - {"LOW-03", "LOST-07"},
     "robstride": _STREAMED,
     "software": frozenset(
-        {"HEAR-05", "LOW-04", "LOW-06", "LOW-08", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}
+        {
+            *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
+            *("SET-05", "SYNC-05"),
+        }
     ),
     "vesc": _SAMPLED,
 }
