@@ -194,7 +194,10 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "degrees": _OF_UNITS,
     "lean": ("PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
     "legal quirks": _OF_QUIRKS,
-    **{f"quirk {name}": (killer, *_OF_QUIRKS[:2]) for name, killer in DEVIATIONS.items()},
+    **{
+        f"quirk {name}": (killer, *_OF_QUIRKS[:2], "CSP-01", "LSW-01")
+        for name, killer in DEVIATIONS.items()
+    },
 }
 """The clauses for drives that differ in few points; all others have all clauses."""
 

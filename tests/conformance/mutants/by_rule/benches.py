@@ -18,14 +18,11 @@ VARIANTS: Final = (
 )
 VARIED: Final = {
     "cia402": (
-        *("motor options", "lost host disables", "lost host is a fault"),
-        *("units of the drive + reversing gear", "drive boots late + home offset"),
-        *("three motors + fast clock", "two buses with equal node-IDs + slow SDO server"),
-        *("quirk inverted_set_point_acknowledge", "quirk single_set_point_only"),
-        *("limited jerk", "busy bus + a second program reads"),
+        *("motor options", "lost host disables", "units of the drive + reversing gear"),
+        *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
     ),
     "dryve": ("dryve options + dryve drive options + velocities in rpm",),
-    "dynamixel": ("servo in velocity mode", "servo options + servo drive options"),
+    "dynamixel": ("servo in velocity mode",),
     "ideal": ("ideal motor begins at 0.3 rad + ideal motor with limited jerk",),
     "leadshine": ("Leadshine over TCP + Leadshine options + Leadshine drive options",),
     "mit": ("impedance options + impedance drive options + other ranges",),
