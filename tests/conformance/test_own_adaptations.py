@@ -52,7 +52,7 @@ NOT_APPLICABLE = {
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
-            *(f"LOST-{number:02}" for number in range(1, 13)),
+            *(f"LOST-{number:02}" for number in range(1, 14)),
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
         }

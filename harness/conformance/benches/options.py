@@ -16,6 +16,7 @@ _RANGES: Final = (
 
 
 _ACCELERATION: Final = "acceleration_max_rad_s2 = 4.0\n"
+_BORNE: Final = ("borne_s = 0.08", "borne_s = 0.06")
 _JERK: Final = (_ACCELERATION, f"{_ACCELERATION}jerk_max_rad_s3 = 8.0\n")
 
 
@@ -115,9 +116,12 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     "AZ over TCP": _over_tcp("oriental_az"),
     "AZ options": of_motor("oriental_az", "timeout_s = 0.15"),
     "other ranges": [*of_motor("mit", _RANGES), *of_controller("mit", _RANGES)],
-    "impedance options": of_motor(
-        "mit", "period_ms = 4.0\nquiet_ms = 16.0\ntimeout_ms = 80.0\nconnect_timeout_s = 1.5"
-    ),
+    "impedance options": [
+        *of_motor(
+            "mit", "period_ms = 4.0\nquiet_ms = 16.0\ntimeout_ms = 80.0\nconnect_timeout_s = 1.5"
+        ),
+        _BORNE,
+    ],
     "other ranges of a RobStride": [
         *of_motor("robstride", _RANGES),
         *of_controller("robstride", _RANGES),
@@ -126,11 +130,17 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         "robstride",
         "period_ms = 4.0\nquiet_ms = 16.0\ntimeout_ms = 80.0\nconnect_timeout_s = 1.5",
     ),
-    "moteus options": of_motor("moteus", "poll_ms = 8.0\nwatchdog_ms = 120.0\ntimeout_ms = 80.0"),
-    "RMD options": of_motor(
-        "rmd",
-        "poll_period_ms = 4.0\ntimeout_ms = 150.0\nstream_period_ms = 4.0\nlead_ms = 17.0",
-    ),
+    "moteus options": [
+        *of_motor("moteus", "poll_ms = 8.0\nwatchdog_ms = 120.0\ntimeout_ms = 80.0"),
+        _BORNE,
+    ],
+    "RMD options": [
+        *of_motor(
+            "rmd",
+            "poll_period_ms = 4.0\ntimeout_ms = 150.0\nstream_period_ms = 4.0\nlead_ms = 17.0",
+        ),
+        ("borne_s = 0.18", "borne_s = 0.13"),
+    ],
     "VESC options": [
         *of_motor(
             "vesc",
@@ -138,6 +148,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
             "brake_current_a = 6.0\npole_pairs = 10",
         ),
         *of_controller("vesc", "pole_pairs = 10"),
+        ("borne_s = 0.18", "borne_s = 0.13"),
     ],
     "servo options of the host": [
         *of_motor(

@@ -22,6 +22,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_usable,
     failure_of,
     finish,
+    follow,
     is_over_soon,
     long_move,
     midway_s,
@@ -42,6 +43,7 @@ from motorhil.motorapi import (
     Motor,
     MotorError,
     MotorState,
+    TrapezoidalTrajectory,
 )
 
 _BACK_S = 1.0
@@ -358,6 +360,40 @@ def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
         if error is None:
             what = f"its drive was {trouble} in a motion, which nobody awaited; later, done"
             expect_moved(bench, motor, before, way, what)
+
+
+@clause(
+    "LOST-13",
+    Level.L5,
+    needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
+    bench={Ability.LOSE, Ability.AFRESH},
+    source="The rig: borne_s; timeouts of the adaptation, which are longer than that",
+)
+def short_silence_is_borne(bench: RigProtocol) -> None:
+    """A motion goes on through a silence of its drive that is as short as the rig states."""
+    borne_s = bench.facts.borne_s
+    if borne_s is None:
+        raise NotApplicable("the rig does not state borne_s")
+    for what, begin in (
+        ("a trajectory", lambda motor, way: follow(motor, TrapezoidalTrajectory(way))),
+        ("a set-point", lambda motor, way: aim(motor, way, relative=True)),
+    ):
+        for delay_s in (0.0, 0.003, 0.011):
+            bench.afresh()
+            motor, way = bench.motor, long_move(bench)
+            motor.enable()
+            before = position_of(bench, motor)
+            begin(motor, way)
+            rest_for(bench, 0.3 * shortest_s(motor, way) + delay_s)
+            with bench.lose_answers_of(motor) as lost:
+                error = failure_of(partial(motor.wait_until_done, borne_s))
+                is_struck = lost() > 0
+            if isinstance(error, DeadlineExceeded):  # of this wait
+                error = failure_of(partial(finish, bench, motor, shortest_s(motor, way)))
+            text = f"{what}, whose drive was silent for {borne_s:g} s"
+            reached(is_struck, f"{text}: a lost frame")
+            expect(error is None, f"{text}, failed: {error!r}")
+            expect_moved(bench, motor, before, way, text)
 
 
 @clause(
