@@ -70,7 +70,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     ),
     "AZ drive options": of_controller(
         "oriental_az",
-        "timing = { boot_up_s = 0.5, reply_s = 0.003 }\ntrigger_auto_clear = false\n"
+        "timing = { boot_up_s = 0.5, reply_s = 0.003 }\n"
         "switches = { limit_backward_rad = -500.0, limit_forward_rad = 500.0, home_rad = 300.0 }",
     ),
     "impedance drive options": of_controller("mit", "boot_up_s = 0.3\nanswer_bytes = 8"),
@@ -105,7 +105,6 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         ('kind = "dryve"\n', 'kind = "dryve"\nvelocity_unit = "rpm"\n'),
     ],
     "dryve options": of_motor("dryve", "timeout_s = 0.3"),
-    "servo in velocity mode": of_motor("dynamixel", 'mode = "velocity"'),
     "servo options": of_motor("dynamixel", "timeout_s = 0.08"),
     "ideal motor begins at 0.3 rad": of_motor(
         "ideal", "position_rad = 0.3\ntorque_constant_n_m_a = 0.5"
@@ -156,7 +155,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
             "host_node_id = 100\nheartbeat_ms = 60\nheartbeat_timeout_ms = 250\n"
             "status_period_ms = 15\nconnect_timeout_s = 2.0\nsdo_timeout_s = 0.2\n"
             "sdo_quarantine_s = 0.6\ncycle_ms = 2.0\nmisses_max = 6\n"
-            "position_window_rad = 0.0008\nsettle_s = 0.03\nfollowing_error_window_rad = 0.02\n"
+            "position_window_rad = 0.0008\nsettle_s = 0.03\nfollowing_error_window_rad = 0.1\n"
             "following_error_s = 0.02\nquick_stop_deceleration_rad_s2 = 8.0",
         )
     ],

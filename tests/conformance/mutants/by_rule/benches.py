@@ -22,7 +22,7 @@ VARIED: Final = {
         *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
     ),
     "dryve": ("dryve options + dryve drive options + velocities in rpm",),
-    "dynamixel": ("servo in velocity mode",),
+    "dynamixel": ("servo options + servo drive options",),
     "ideal": ("ideal motor begins at 0.3 rad + ideal motor with limited jerk",),
     "leadshine": ("Leadshine over TCP + Leadshine options + Leadshine drive options",),
     "mit": ("impedance options + impedance drive options + other ranges",),
