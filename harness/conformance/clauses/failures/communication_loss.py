@@ -4,6 +4,7 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 `dead_man_s` and `brake_s`.
 """
 
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from functools import partial
 from itertools import product
@@ -374,10 +375,11 @@ def short_silence_is_borne(bench: RigProtocol) -> None:
     borne_s = bench.facts.borne_s
     if borne_s is None:
         raise NotApplicable("the rig does not state borne_s")
-    for what, begin in (
+    begins: tuple[tuple[str, Callable[[Motor, float], None]], ...] = (
         ("a trajectory", lambda motor, way: follow(motor, TrapezoidalTrajectory(way))),
         ("a set-point", lambda motor, way: aim(motor, way, relative=True)),
-    ):
+    )
+    for what, begin in begins:
         for delay_s in (0.0, 0.003, 0.011):
             bench.afresh()
             motor, way = bench.motor, long_move(bench)
