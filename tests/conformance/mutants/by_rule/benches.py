@@ -36,6 +36,7 @@ VARIED: Final = {
 """Further variations of the kit, by kind: those of options, and pairs of others."""
 _FEW: Final = (
     *("UNIT-01", "STATE-01", "STATE-02", "MEAS-01", "MEAS-02", "MEAS-04", "SET-01", "SET-03"),
+    *("TRAJ-01", "TRAJ-03", "TRAJ-13", "TRAJ-14", "SYNC-11", "SYNC-12", "SYNC-17", "LOW-09"),
     *("SET-05", "SET-10", "TRAJ-02", "TRAJ-04", "TRAJ-05", "TRAJ-11", "LEAD-01", "START-03"),
     *("LIM-02", "STOP-01", "STOP-03", "FAULT-01", "FAULT-03", "HEAR-02", "HEAR-03", "LOW-04"),
     *("SHARE-03", "SYNC-01", "SYNC-03", "SYNC-07", "OTHER-01", "OVER-01", "LOST-01", "LOST-03"),
