@@ -34,7 +34,11 @@ def _ask(drive: Drive, *head: int, data: bytes = b"", count: int = 1) -> list[by
     request = (bytes(head) + data).ljust(8, b"\0")
     node = drive.node_id
     heard = drive.client.ask(0x600 + node, request, 0x580 + node, count=count)
-    return [one.data for one in heard]
+    answers = [one.data for one in heard]
+    what = f"SDO request {request.hex(' ')}"
+    is_whole = all(len(one) == 8 for one in answers)
+    drive.expect(is_whole, what, "answers of 8 bytes", _text(answers), "wrong length of a frame")
+    return answers
 
 
 def _place(entry: Entry) -> bytes:
