@@ -22,6 +22,7 @@ _MODULES: Final = (
     "motion.stopping",
     "failures.faults",
     "low_level",
+    "parameters",
     "sharing",
     "processes",
     "groups",

@@ -108,6 +108,7 @@ FOLDERS = (
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),
     *("harness/conformance/drives", "harness/conformance/drives/clauses"),
+    "harness/conformance/drives/clauses/communication",
     *("harness/conformance/verdicts", "harness/examples", "harness/examples/new_drive"),
     *("harness/oracles", "harness/oracles/drives"),
     *("harness/pytest_plugin", "harness/replay", "harness/report", "harness/rig/config"),

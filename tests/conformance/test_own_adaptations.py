@@ -16,7 +16,7 @@ from tests.support.kit_benches import KINDS, claims, opener
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
 _OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05")
-_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08")
+_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01")
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
@@ -29,8 +29,8 @@ _POLLED = frozenset(
 _STREAMED = frozenset(  # functions of time for positions; no common trigger, no supply switch
     {
         *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12", "TRAJ-14"),
-        *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03", "LOW-04"),
-        *("HEAR-05", "SHARE-02", "OTHER-01", "LOST-07", "LOST-08", "LOW-06"),
+        *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "LOW-04"),
+        *("HEAR-05", "SHARE-02", "LOST-08", "LOW-06"),
         *_OF_CANOPEN,
     }
 )
@@ -40,9 +40,10 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12, 14)),
         *("FAULT-07", "HOME-04"),
         *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
-        *("OTHER-01", "LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
+        *("LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
     }
 )
+_OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
     "ideal": frozenset(
@@ -51,7 +52,7 @@ NOT_APPLICABLE = {
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
             *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
-            *(f"LOST-{number:02}" for number in range(1, 13)),
+            *(f"LOST-{number:02}" for number in range(1, 14)),
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
         }
@@ -62,12 +63,12 @@ NOT_APPLICABLE = {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
             *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13, 14)),
             *("FAULT-07", "HOME-04"),
-            *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "LOW-03", "SYNC-05"),
-            *("SHARE-08", "HOME-01", "HOME-03", "LOST-07", "LOST-08", "LOW-06", "SYNC-19"),
+            *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
+            *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
             *("LOST-11", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
-    "leadshine": _POLLED,
+    "leadshine": _POLLED - _OF_RESTARTS,
     "mit": _STREAMED | {"FAULT-07"},
     "moteus": frozenset(
         {
@@ -80,10 +81,13 @@ NOT_APPLICABLE = {
         }
     ),
     "oriental_az": _POLLED,
-    "rmd": _SAMPLED,
+    "rmd": _SAMPLED - {"LOW-03", "LOST-07"},
     "robstride": _STREAMED,
     "software": frozenset(
-        {"HEAR-05", "LOW-04", "LOW-06", "LOW-08", "MEAS-02", "OTHER-01", "SET-05", "SYNC-05"}
+        {
+            *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
+            *("SET-05", "SYNC-05"),
+        }
     ),
     "vesc": _SAMPLED,
 }

@@ -46,7 +46,7 @@ _NO_RPDOS = [
 ]
 _CIA402 = (RIGS / "cia402.toml").read_text()
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402)}
-VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS, "limited jerk": LIMITED_JERK}
+VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
 VARIANTS["position limits in the drive"] = of_drive(
     'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
 )

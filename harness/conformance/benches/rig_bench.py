@@ -47,6 +47,16 @@ _STOPS: Final = {  # commands of another program: by SDO to 6040h, halt; by the 
     "dryve": bytes.fromhex("2B 0D 01 00 00 60 40 00 00 00 00 02 0F 01"),
 }
 _SDO_REQUEST: Final = 0x600  # + node-ID
+_STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by frames of the vendors
+    "mit": lambda node: pack(node, bytes.fromhex("FF FF FF FF FF FF FF FD")),  # leave motor mode
+    "robstride": lambda node: pack(EFF_FLAG | 0x0400_FD00 | node, bytes(8)),  # stop
+    "rmd": lambda node: pack(0x140 + node, b"\x81" + bytes(7)),  # motor stop
+    "vesc": lambda node: pack(EFF_FLAG | 0x0300 | node, bytes(4)),  # a speed of 0
+}
+_SWITCHED: Final = ("mit", "robstride", "rmd", "dynamixel", "leadshine_pr")
+"""Kinds of controllers whose stimulus `power` switches all of them off and on."""
+_POWER_S: Final = 0.05
+"""Time without power of a restarted drive [s]."""
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 _GATEWAY_WRITE: Final = bytes((0x2B, 0x0D, 1))  # CANopen objects through Modbus
 
@@ -235,8 +245,10 @@ class RigBench:
             if not self._is_on_a_line(motor):
                 able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
             if kind in _CANOPEN:
-                able |= {Ability.STOP_SYNC, Ability.RESTART, Ability.CLOCK}
-            if kind in _STOPS:
+                able |= {Ability.STOP_SYNC, Ability.CLOCK}
+            if kind in _CANOPEN or kind in _SWITCHED:
+                able.add(Ability.RESTART)
+            if kind in _STOPS or kind in _STOP_FRAMES:
                 able.add(Ability.OTHER_PROGRAM)
         return tuple(one for one in Ability if one in able)
 
@@ -420,7 +432,12 @@ class RigBench:
         from motorhil.emulators.modbus.tcp import adu as adu_of
 
         described = self._description.controllers[self._controller(motor)]
-        node, command = described.node_id or 0, _STOPS[described.kind]
+        node = described.node_id or 0
+        if described.kind in _STOP_FRAMES:
+            port = self.rig.world.add_host(self._bus(motor), "another", lambda *_: None)
+            port.send(_STOP_FRAMES[described.kind](node))
+            return
+        command = _STOPS[described.kind]
         if described.kind == "dynamixel":
             self.rig.line(self._bus(motor)).send(packet(node, Instruction.WRITE, command))
         elif self._description.buses[self._bus(motor)].kind == MODBUS_TCP:
@@ -432,8 +449,14 @@ class RigBench:
             port.send(pack(_SDO_REQUEST + node, command))
 
     def restart(self, motor: Motor) -> None:
-        """Restart the motor's drive by an NMT reset node from another host."""
-        node = self._description.controllers[self._controller(motor)].node_id
+        """Restart the motor's drive by its supply, or by an NMT reset node from another host."""
+        described = self._description.controllers[self._controller(motor)]
+        if described.kind in _SWITCHED:
+            self._stimulate(motor, "power", 0.0)
+            on = self.rig.world.queue.alarm(lambda _: self._stimulate(motor, "power", 1.0))
+            on.set(self.runtime.now_ns() + round(_POWER_S * 1e9))
+            return
+        node = described.node_id
         if node is None:
             raise NotApplicable(f"{motor.name}: its controller has no node-ID for an NMT reset")
         port = self.rig.world.add_host(self._bus(motor), "bench", lambda *_: None)

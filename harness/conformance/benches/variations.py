@@ -11,10 +11,10 @@ from contextlib import suppress
 from itertools import combinations
 from typing import Final
 
+from motorhil.harness.conformance.benches.options import OPTIONS, Change
+
 _PLANT = 'plant = { preset = "wheel_60w" }'
 _FINE = "window_rad = 0.001\nfollowing_rad = 0.0005"
-
-Change = tuple[str, str]
 
 
 def of_drive(settings: str) -> list[Change]:
@@ -119,6 +119,7 @@ _OF_OTHER_MOTORS: Final[Mapping[str, Sequence[Change]]] = {
 
 VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     **_OF_OTHER_MOTORS,
+    **OPTIONS,
     "reversing gear": [("gear_ratio = 66.0", "gear_ratio = -66.0")],
     "linear axis": _LINEAR,
     "starts at 5 rad": of_drive("initial_position_rad = 5.0"),
@@ -176,6 +177,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
 _GENERAL: Final = (
     *("reversing gear", "starts at 5 rad", "fast clock", "slow clock"),
     *_OF_OTHER_MOTORS,
+    *OPTIONS,
 )
 """Variations that do not depend on the kind of the controllers."""
 NOT_VARIED: Final = ("a second program that takes the motor",)

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, final
 
+from motorhil.emulators.settings.tables import plant_of
 from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.benches.rig_bench import TimeIsUp
 from motorhil.harness.conformance.clause import NotApplicable
@@ -44,6 +46,12 @@ class DriveBench(Protocol):
     def true_position_rad(self) -> float:
         """Return the position of the output; raise NotApplicable if the bench does not know it."""
 
+    def truth(self, name: str) -> float:
+        """Return a true value of the motor; raise NotApplicable if there is none."""
+
+    def plant(self) -> Mapping[str, float]:
+        """Return all numbers of the plant that the rig states; raise NotApplicable if none is."""
+
     def fail(self) -> int | None:
         """Cause a short fault in the drive; return its error code, or None if it cannot."""
 
@@ -71,8 +79,16 @@ class _Bench:
                 raise NotApplicable(f"the rig does not state {table}.{key} of the drive")
 
     def true_position_rad(self) -> float:
-        """Raise NotApplicable: only the drive knows where its motor is."""
-        raise NotApplicable("the bench cannot see the true position of the motor")
+        """Return the true position of the output [rad]."""
+        return self.truth("position_rad")
+
+    def truth(self, name: str) -> float:
+        """Raise NotApplicable: only the drive knows its motor."""
+        raise NotApplicable(f"the bench cannot see the true {name} of the motor")
+
+    def plant(self) -> Mapping[str, float]:
+        """Raise NotApplicable: the plant of a real drive is not stated."""
+        raise NotApplicable("the bench does not know the plant")
 
     def _meet(self, cleanup: ExitStack, client: Client, controller: ControllerDescription) -> Drive:
         cleanup.callback(client.close)
@@ -134,9 +150,19 @@ class EmulatedBench(_Bench):
         except ValueError as error:
             raise NotApplicable(f"{error}") from None
 
-    def true_position_rad(self) -> float:
-        """Return the true position of the output [rad]."""
-        return self._rig.controllers[self._name].snapshot()["position_rad"]
+    def plant(self) -> Mapping[str, float]:
+        """Return all numbers of the plant that the rig states."""
+        if "plant" not in self.stated:
+            raise NotApplicable("the rig states no plant of the drive")
+        values = asdict(plant_of(self.stated["plant"]))
+        return {**values, **values.pop("extras")}
+
+    def truth(self, name: str) -> float:
+        """Return a true value of the motor."""
+        found = self._rig.controllers[self._name].snapshot().get(name)
+        if found is None:
+            raise NotApplicable(f"the plant has no {name}")
+        return found
 
     def fail(self) -> int | None:
         """Cause the fault that the rig's `[conformance]` table states."""

@@ -12,7 +12,15 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
-from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
+from motorhil.emulators.can.frame import (
+    EFF_FLAG,
+    ERR_FLAG,
+    RTR_FLAG,
+    can_id_of,
+    data_of,
+    pack,
+    pack_remote,
+)
 from motorhil.motorapi.runtime.api import Runtime
 
 if TYPE_CHECKING:
@@ -21,6 +29,7 @@ if TYPE_CHECKING:
 NMT: Final = 0x000
 SYNC: Final = 0x080
 _SDO_TIMEOUT_S: Final = 0.5
+_ANSWER_S: Final = 0.1
 
 
 @final
@@ -94,7 +103,32 @@ class Client(canopen.Network):
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Queue a frame."""
-        self.runtime.send(self._bus, pack(can_id, bytes(data)))
+        self.runtime.send(self._bus, pack_remote(can_id) if remote else pack(can_id, bytes(data)))
+
+    def ask(
+        self, can_id: int, data: bytes, answer_id: int, *, count: int = 1, remote: bool = False
+    ) -> list[Frame]:
+        """Queue a request; return the answers that begin to come within 0.1 s of each other.
+
+        Args:
+            can_id: of the request.
+            data: of the request.
+            answer_id: the identifier of the answers.
+            count: the number of answers to wait for.
+            remote: the request is a remote frame.
+        """
+        begin_ns = self.runtime.now_ns()
+        self.send_message(can_id, data, remote)
+        heard: list[Frame] = []
+        for number in range(1, count + 1):
+            self.runtime.wait_until(
+                lambda least=number: len(self.heard(answer_id, begin_ns)) >= least,  # type: ignore[misc]  # mypy#15459
+                _ANSWER_S,
+            )
+            heard = self.heard(answer_id, begin_ns)
+            if len(heard) < number:
+                break
+        return heard
 
     def send(self, can_id: int, data: bytes = b"") -> Frame:
         """Send a frame and wait until it was on the bus; return it with its time.

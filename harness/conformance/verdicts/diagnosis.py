@@ -26,6 +26,7 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DeadlineExceeded,
+    MotionInterrupted,
     Motor,
     MotorError,
     PluginError,
@@ -77,6 +78,8 @@ _DISTURBS: Final = {
     *(Ability.STOP_SYNC, Ability.CLOCK, Ability.OTHER_PROGRAM, Ability.RESTART),
     *(Ability.ONE_KIND, Ability.LATE),
 }
+_INTERRUPTS: Final = {*_DISTURBS, Ability.SEVERAL_USERS, Ability.LOAD, Ability.FAULT}
+"""Abilities with which a clause may let something else end a motion."""
 _TARGET: Final = "607Ah"
 _ABSENT: Final = "object does not exist"
 _EMULATORS: Final = str(Path(motorhil.__file__).parent / "emulators") + os.sep
@@ -125,7 +128,7 @@ def diagnose(
             ]
     else:
         hints += _in_message(seen, None)
-    chosen = [crash] if crash else [*hints, _of_error(error, seen, home)]
+    chosen = [crash] if crash else [*hints, _of_error(error, seen, home, one)]
     evidence = [f"also: {hint.cause}" for hint in dict.fromkeys(chosen[1:-1])] + evidence
     return Diagnosis(chosen[0].cause, chosen[0].key, tuple(dict.fromkeys(evidence)), curves)
 
@@ -167,8 +170,12 @@ def _crash(error: BaseException) -> _Hint | None:
     return _Hint(f"crash {type(root).__name__} {file} {function}", cause)
 
 
-def _of_error(error: BaseException, seen: str, home: str) -> _Hint:
+def _of_error(error: BaseException, seen: str, home: str, one: Clause) -> _Hint:
     """Return the hint for an error without other evidence: its message, and where it arose."""
+    if isinstance(error, MotionInterrupted) and not _INTERRUPTS.intersection(one.bench):
+        cause = f"{seen}; but nothing on this bench ended the motion: the drive was told another"
+        cause += " target, or its position or status is read wrongly"
+        return _Hint(f"interrupted by nothing {without_numbers(error.by)}", cause)
     if isinstance(error, Violated):
         return _Hint(f"violated {without_numbers(seen)}", seen)
     own = [frame for frame in _frames(error) if home and frame[0].startswith(home)]

@@ -106,6 +106,9 @@ class ConformanceTable:
     dead_man_s: float = _time(1.0, "Within which a drive notices that its host is lost.")
     brake_s: float | None = _time(None, "Time to rest after that; absent: from the model.")
     lost_s: float = _time(1.0, "Within which a host reports that a drive is lost.")
+    borne_s: float | None = _time(
+        None, "Silence of a drive in a motion that its host bears; absent: not known."
+    )
     deadline_s: float = _time(30.0, "Deadline of one clause, in wall time.")
     fault_stimulus: str = text("fault", "Stimulus that causes a controller fault.")
     fault_code: int = whole(0x2310, 1, 0xFFFF_FFFF, "", "Error code of that fault.")
@@ -161,6 +164,7 @@ class Facts:
         dead_man_s: within which a drive notices that its host is lost, and begins to brake [s].
         brake_s: the time to rest after that, from any motion [s]; None: derived from the model.
         lost_s: within which a host reports that a drive has stopped answering [s].
+        borne_s: the silence of a drive in a motion that its host bears [s]; None: not known.
         deadline_s: the deadline for one clause [s of wall time].
         fault_stimulus: the stimulus that causes a controller fault.
         fault_code: the error code that the drive then reports.
@@ -183,6 +187,7 @@ class Facts:
     dead_man_s: float = 1.0
     brake_s: float | None = None
     lost_s: float = 1.0
+    borne_s: float | None = None
     deadline_s: float = 30.0
     fault_stimulus: str = "fault"
     fault_code: int = 0x2310
@@ -228,6 +233,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         dead_man_s=own.dead_man_s,
         brake_s=own.brake_s,
         lost_s=own.lost_s,
+        borne_s=own.borne_s,
         deadline_s=own.deadline_s,
         fault_stimulus=own.fault_stimulus,
         fault_code=own.fault_code,

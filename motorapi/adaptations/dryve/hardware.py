@@ -60,6 +60,7 @@ _START, _AT_ONCE, _HALT, _RESET = 0x10, 0x20, 0x100, 0x80
 _FAULT, _REMOTE, _REACHED, _ACKNOWLEDGED, _FAILED = 0x08, 0x200, 0x400, 0x1000, 0x2000
 _STATE: Final = 0x6F
 _READY, _ON, _OPERATION = 0x21, 0x23, 0x27
+_STANDS, _BRAKES = 0x4F, 0x0F  # fault reaction active, and the bits that tell it from the others
 _PP, _PV, _HM = 1, 3, 6
 _LINEAR, _DEGREES = 0x01, 0x41
 _CYCLE_NS: Final = 10_000_000
@@ -283,7 +284,11 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         self.registers.write(_CONTROLWORD, 0)
 
     def reset_fault(self) -> None:
-        """Reset the fault, if its cause is gone; the power stage stays off."""
+        """Reset the fault, if its cause is gone; the power stage stays off.
+
+        A drive that still brakes because of it would not take the reset.
+        """
+        self._await("rest after a fault", lambda: self._state() & _STANDS != _BRAKES)
         self.registers.write(_CONTROLWORD, 0)
         self.registers.write(_CONTROLWORD, _RESET)
         self.registers.write(_CONTROLWORD, 0)

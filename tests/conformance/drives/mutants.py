@@ -7,7 +7,7 @@ object of the rig. Its docstring describes it.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from motorhil.emulators.canopen import sdo_server
+from motorhil.emulators.canopen import error_control, lss, pdo, pdo_mapping, sdo_server, sync
 from motorhil.emulators.canopen.codes import AbortCode
 from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
 from motorhil.emulators.canopen.error_control import HeartbeatConsumer, HeartbeatProducer
@@ -29,7 +29,7 @@ from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
-from motorhil.emulators.firmware import flags, profile
+from motorhil.emulators.firmware import clock, flags, nonlinear_servo, nonlinear_tables, profile
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
 from tests.conformance.drives.rigs import DRIVES
@@ -1184,3 +1184,303 @@ def disabling_is_not_taken_back(patch):
         return write
 
     _wrap(patch, PowerDrive, "_write_controlword", make)
+
+
+# --- transfers and services of the node
+
+
+@mutant("SDO-01")
+def block_crc_begins_with_ones(patch):
+    """The CRC of block transfers begins with FFFFh."""
+
+    def make(good):
+        return lambda data: good(b"\x84\xcf" + data)  # after these two bytes it is FFFFh
+
+    _wrap(patch, sdo_server, "block_crc", make)
+
+
+@mutant("SDO-01")
+def lost_segment_is_not_repeated(patch):
+    """A block upload goes on behind a segment that was not confirmed."""
+
+    def make(good):
+        return lambda self, good_ones, size: good(self, self._sent, size)
+
+    _wrap(patch, sdo_server.BlockUpload, "confirm", make)
+
+
+@mutant("SDO-02")
+def gap_in_a_block_is_taken(patch):
+    """A block download takes its segments whatever their numbers."""
+
+    def make(good):
+        def segment(self, head, data):
+            self._good = (head & 0x7F) - 1
+            return good(self, head, data)
+
+        return segment
+
+    _wrap(patch, sdo_server.BlockDownload, "segment", make)
+
+
+@mutant("SDO-03")
+def toggle_error_is_a_general_error(patch):
+    """A toggle bit that does not alternate is refused with 0800 0000h."""
+    _aborts_as(patch, (AbortCode.TOGGLE_BIT_NOT_ALTERNATED,), AbortCode.GENERAL_ERROR)
+
+
+@mutant("SDO-03")
+def wrong_crc_is_taken(patch):
+    """The CRC of a block download is not checked."""
+
+    def make(good):
+        return lambda self, unused, crc: good(self, unused, sdo_server.block_crc(self.sent(unused)))
+
+    def sent(self, unused):
+        return bytes(self._data[: len(self._data) - unused])
+
+    patch.setattr(sdo_server.BlockDownload, "sent", sent, raising=False)
+    _wrap(patch, sdo_server.BlockDownload, "end", make)
+
+
+@mutant("GUARD-01")
+def toggle_bit_of_guarding_stands(patch):
+    """The answers of node guarding have no toggle bit."""
+    patch.setattr(error_control, "_TOGGLE", 0)
+
+
+@mutant("GUARD-02")
+def life_time_is_the_guard_time(patch):
+    """The master is lost after the guard time, whatever the life time factor."""
+
+    def make(good):
+        def configure(self, now_ns):
+            good(self, now_ns)
+            self._life_ns = self._od.integer(0x100C, 0, 0) * 1_000_000
+
+        return configure
+
+    _wrap(patch, error_control.NodeGuarding, "configure", make)
+
+
+@mutant("NMT-06")
+def all_hosts_have_the_first_ones_time(patch):
+    """All entries of 1016h have the time of the first one."""
+
+    def make(good):
+        def configure(self):
+            lost = good(self)
+            for watch in self._watches:
+                watch.period_ns = self._watches[0].period_ns
+            return lost
+
+        return configure
+
+    _wrap(patch, HeartbeatConsumer, "configure", make)
+
+
+@mutant("EMCY-01")
+def emcy_keeps_its_identifier(patch):
+    """EMCY has 80h + node-ID, whatever 1014h says."""
+
+    def make(good):
+        def configure(self, now_ns):
+            good(self, now_ns)
+            self._can_id = self._can_id and 0x85
+
+        return configure
+
+    _wrap(patch, EmcyProducer, "configure", make)
+
+
+@mutant("LSS-01")
+def any_serial_number_is_identified(patch):
+    """LSS identifies the drive by any serial number."""
+
+    def make(good):
+        def identify(self, place, number, now_ns):
+            good(self, place, 0 if place == 4 else 0xFFFF_FFFF if place == 5 else number, now_ns)
+
+        return identify
+
+    _wrap(patch, lss.LssSlave, "_identify", make)
+
+
+@mutant("LSS-02")
+def node_id_is_active_at_once(patch):
+    """A node-ID of LSS is reported before the reset."""
+
+    def make(good):
+        def configure(self, command, frame, node_id, now_ns):
+            good(self, command, frame, self.pending_node_id, now_ns)
+
+        return configure
+
+    _wrap(patch, lss.LssSlave, "_configure", make)
+
+
+@mutant("PDO-08")
+def sampled_tpdo_has_present_values(patch):
+    """A TPDO of type 252 has the values at the request."""
+    patch.setattr(pdo, "SAMPLED_ON_REQUEST", 251)
+
+
+@mutant("PDO-09")
+def mapping_is_changed_while_valid(patch):
+    """The mapping of a PDO can be changed while it is valid."""
+    _always(patch, PdoParameters, "is_valid", False)
+
+
+@mutant("PDO-10")
+def dummies_take_no_space(patch):
+    """A dummy entry of an RPDO is left out."""
+
+    def make(good):
+        return lambda entries: good([one for one in entries if one[0] is not None])
+
+    _wrap(patch, pdo_mapping, "PdoMapping", make)
+
+
+@mutant("PDO-11")
+def missing_rpdo_is_not_told(patch):
+    """An RPDO that does not come in time sends no EMCY."""
+    _wrap(patch, Rpdo, "receive_watched", lambda good: lambda self, *args: self.receive(*args))
+
+
+@mutant("SYN-01")
+def sync_counter_is_not_required(patch):
+    """A SYNC of any length counts."""
+    _always(patch, sync.SyncService, "is_right", True)
+
+
+@mutant("SYN-02")
+def own_sync_is_twice_as_slow(patch):
+    """The drive sends SYNC each 1006h times two."""
+
+    def make(good):
+        def begin(self, now_ns):
+            good(self, now_ns)
+            self._period_ns *= 2
+
+        return begin
+
+    _wrap(patch, sync.SyncService, "_begin", make)
+
+
+@mutant("SYN-03")
+def sync_window_is_ignored(patch):
+    """A synchronous RPDO counts after its window, too."""
+    _always(patch, Rpdo, "is_plain", True)
+
+
+# --- the plant
+
+
+@mutant("PLANT-01", DRIVES["warm"])
+def housing_is_not_warmed(patch):
+    """The winding gets warm as if its housing stayed at the temperature of the air."""
+
+    def make(good):
+        def warming(plant, slow_s):
+            ww, wh, wp, _, hh, _ = good(plant, slow_s)
+            return ww, wh, wp, 0.0, hh, 0.0
+
+        return warming
+
+    _wrap(patch, nonlinear_tables, "_warming", make)
+
+
+@mutant("PLANT-02", DRIVES["i2t"])
+def i2t_never_empties(patch):
+    """I2t keeps its level at currents below the continuous one."""
+
+    def make(good):
+        def reckon(tables, winding, housing, level, losses):
+            winding, housing, after = good(tables, winding, housing, level, losses)
+            return winding, housing, max(level, after)
+
+        return reckon
+
+    _wrap(patch, nonlinear_servo, "reckon", make)
+
+
+@mutant("PLANT-03", DRIVES["chopper"])
+def chopper_takes_no_current(patch):
+    """The brake chopper never conducts."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.chopper_1_ohm = 0.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.ExtrasTables, "__init__", make)
+
+
+@mutant("PLANT-04", DRIVES["end stops"])
+def end_stop_swallows_the_speed(patch):
+    """The load does not rebound."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.restitution = 0.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-05", DRIVES["pendulum"])
+def pendulum_stands_on_its_head(patch):
+    """Gravity has the other sign."""
+    _wrap(patch, nonlinear_servo, "wave", lambda good: lambda turns: -good(turns))
+
+
+@mutant("PLANT-06", DRIVES["sticky"])
+def static_friction_falls_off_slowly(patch):
+    """Static friction falls at ten times the Stribeck speed."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.stribeck /= 100.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-07", DRIVES["cogging"])
+def motor_cogs_twice_as_often(patch):
+    """The cogging torque has twice as many periods."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.cogging_inc *= 2.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-08", DRIVES["friction at the output"])
+def friction_of_the_output_is_the_motors(patch):
+    """The Coulomb friction of the load is taken for that of the motor."""
+
+    def make(good):
+        def init(self, plant, *args, **kwargs):
+            good(self, plant, *args, **kwargs)
+            self.coulomb = plant.coulomb_friction_n_m + plant.extras.output_coulomb_friction_n_m
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-09", DRIVES["late wakes"])
+def lateness_is_always_the_same(patch):
+    """A drive with jitter is always as late as it can be."""
+    patch.setattr(clock, "lateness_ns", lambda seed, due_ns, jitter_ns: jitter_ns)

@@ -70,6 +70,9 @@ _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
     _variable("60A9", "SI unit velocity", 7, 0xFFB4_4700),  # 0.1 revolution per minute
 )
+_ELASTIC: Final = (
+    "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
+)
 _LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6502")
 
 DRIVES: dict[str, str] = {
@@ -77,7 +80,8 @@ DRIVES: dict[str, str] = {
     "switches": (
         "switches = { negative_limit_rad = -1.0, positive_limit_rad = 6.0,"
         " home_from_rad = 0.5, home_to_rad = 0.7, touch_probe_1_from_rad = 0.2,"
-        " touch_probe_1_to_rad = 0.3, touch_probe_2_from_rad = -0.5, index_rad = 0.7 }"
+        " touch_probe_1_to_rad = 0.3, touch_probe_2_from_rad = -0.5,"
+        " touch_probe_2_to_rad = 900.0, index_rad = 0.7 }"
     ),
     "own clock": "oscillator = { ppm = -8000.0 }",
     "units": (
@@ -86,14 +90,66 @@ DRIVES: dict[str, str] = {
         " acceleration_unit_inc_s2 = 100.0 }"
     ),
     "sync supervision": (
-        "cyclic = { sync_lost_periods = 3 }\n"
-        'protection = { sto = "fault", sto_error_code = 0xFF01 }'
+        "cyclic = { sync_lost_periods = 3, sync_lost_code = 0xFF02 }\n"
+        'protection = { sto = "fault", sto_error_code = 0xFF01,'
+        " device_temperature_warning_c = 70.0, device_temperature_max_c = 90.0 }\n"
+        "servo = { tick_s = 0.001, current_steps = 20 }"
     ),
     "backlash": (
         'plant = { preset = "wheel_60w", backlash_rad = 0.0003,'
         " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
         "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3 }"
     ),
+    "warm": (
+        'plant = { preset = "wheel_60w", ambient_c = 30.0, copper_coefficient_1_k = 0.0039,'
+        " thermal_resistance_winding_housing_k_w = 2.0, thermal_time_constant_winding_s = 0.6,"
+        " thermal_resistance_housing_ambient_k_w = 5.0, thermal_time_constant_motor_s = 6.0 }\n"
+        "protection = { winding_temperature_warning_c = 50.0, winding_temperature_max_c = 75.0 }"
+    ),
+    "i2t": (
+        'plant = { preset = "wheel_60w", i2t_continuous_a = 2.0, i2t_peak_a = 6.0, i2t_peak_s = 1.0'
+        " }\nprotection = { i2t_warning = 0.5 }"
+    ),
+    "chopper": (
+        'plant = { preset = "wheel_60w", source_resistance_ohm = 0.5, dc_link_bleed_ohm = 500.0,'
+        " dc_link_capacitance_f = 0.0005, chopper_threshold_v = 27.0, chopper_resistance_ohm = 5.0"
+        f' }}\neds = "{_eds("more", added="".join(_MORE))}"'
+    ),
+    "weak supply": (
+        'plant = { preset = "wheel_60w", source_resistance_ohm = 0.5,'
+        " dc_link_capacitance_f = 0.0005, dc_link_bleed_ohm = 300.0 }\n"
+        "protection = { over_voltage_v = 32.0, under_voltage_v = 15.0 }"
+    ),
+    "end stops": (
+        'plant = { preset = "wheel_60w", stop_low_rad = -0.3, stop_high_rad = 0.4,'
+        " stop_restitution = 0.5 }"
+    ),
+    "elastic with end stops": (
+        f'plant = {{ preset = "wheel_60w", stop_low_rad = -0.3, stop_high_rad = 0.4, {_ELASTIC} }}'
+    ),
+    "pendulum": (
+        'plant = { preset = "wheel_60w", gravity_torque_n_m = 2.0, gravity_zero_rad = 0.5 }'
+    ),
+    "elastic pendulum": (
+        'plant = { preset = "wheel_60w", gravity_torque_n_m = 2.0, gravity_zero_rad = 0.5,'
+        f" {_ELASTIC} }}"
+    ),
+    "sticky": (
+        'plant = { preset = "wheel_60w", static_friction_n_m = 0.012, stribeck_speed_rad_s = 5.0 }'
+    ),
+    "cogging": (
+        'plant = { preset = "wheel_60w", cogging_torque_n_m = 0.004, cogging_periods_rev = 12,'
+        " load_torque_n_m = 0.1 }\noscillator = { ppm_max = 50.0, phase_max_s = 0.001 }"
+    ),
+    "friction at the output": (
+        'plant = { preset = "wheel_60w", output_viscous_friction_n_m_s_rad = 1.0,'
+        " output_coulomb_friction_n_m = 0.3 }"
+    ),
+    "elastic with friction": (
+        'plant = { preset = "wheel_60w", output_viscous_friction_n_m_s_rad = 1.0,'
+        f" output_coulomb_friction_n_m = 0.3, {_ELASTIC} }}"
+    ),
+    "late wakes": "oscillator = { jitter_s = 0.002, phase_s = 0.0004 }",
     "position and homing only": 'supported_modes = ["pp", "hm"]',
     "more objects": f'eds = "{_eds("more", added="".join(_MORE))}"',
     "rpm": (f'eds = "{_eds("rpm", added=_RPM)}"\nobjects = {{ "6081h" = 2000, "6083h" = 20000 }}'),
@@ -103,7 +159,8 @@ DRIVES: dict[str, str] = {
     ),
     "lean": (
         f'eds = "{_eds("lean", without=_LEAN)}"\n'
-        'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }'
+        'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
+        "switches = { index_pulse = false }"
     ),
     "legal quirks": f"quirks = {LEGAL}",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
@@ -119,12 +176,28 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
     "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),
     "sync supervision": ("CYC-01", "ERR-07", "CSP-01", "CSP-06", "IP-01", "IP-02", "CSV-01"),
+    "warm": ("PLANT-01", "PP-01"),
+    "i2t": ("PLANT-02", "PP-01"),
+    "chopper": ("PLANT-03", "VAL-02", "PV-01"),
+    "weak supply": ("PLANT-03", "PP-01"),
+    "end stops": ("PLANT-04", "TQ-01"),
+    "elastic with end stops": ("PLANT-04",),
+    "pendulum": ("PLANT-05",),
+    "elastic pendulum": ("PLANT-05",),
+    "sticky": ("PLANT-06", "PP-01", "PV-01"),
+    "cogging": ("PLANT-07", "PP-01"),
+    "friction at the output": ("PLANT-08", "PP-01"),
+    "elastic with friction": ("PLANT-08", "PP-01"),
+    "late wakes": ("PLANT-09", "NMT-01", "PP-01", "PDO-07", "ERR-03", "SDO-01", "PDO-04"),
     "more objects": ("VAL-02", "VAL-03", "VAL-04", "ERR-05", "ERR-06"),
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
     "lean": ("PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
     "legal quirks": _OF_QUIRKS,
-    **{f"quirk {name}": (killer, *_OF_QUIRKS[:2]) for name, killer in DEVIATIONS.items()},
+    **{
+        f"quirk {name}": (killer, *_OF_QUIRKS[:2], "CSP-01", "LSW-01")
+        for name, killer in DEVIATIONS.items()
+    },
 }
 """The clauses for drives that differ in few points; all others have all clauses."""
 

@@ -11,6 +11,8 @@ from motorhil.motorapi.adaptations.cia402 import hardware
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.objects import Mode
+from motorhil.motorapi.adaptations.cia402.parameters import ParameterStore
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal import hardware as ideal_hardware
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
@@ -210,4 +212,34 @@ def zero_is_lost_with_the_cable():
         return taken
 
     with replaced(AmplifierHwMotor, "_take_place", wrong):
+        yield
+
+
+@mutant("cia402", "PAR-01")
+def parameters_stay_for_all_users():
+    """The parameters of one logical motor stay in the drive for the others."""
+
+    def wrong(apply):
+        def applied(self, motor, wanted):
+            self._own = {place: data for place, data in self._own.items() if place in wanted}
+            apply(self, motor, wanted)
+
+        return applied
+
+    with replaced(ParameterStore, "apply", wrong):
+        yield
+
+
+@mutant("cia402", "LOW-09")
+def hardware_object_sets_no_mode():
+    """set_mode() of the hardware object checks the mode, and does not set it."""
+
+    def wrong(set_mode):
+        def checked(self, mode):
+            if mode not in tuple(Mode):
+                set_mode(self, mode)
+
+        return checked
+
+    with replaced(Cia402HwMotor, "set_mode", wrong):
         yield

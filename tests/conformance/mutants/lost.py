@@ -12,6 +12,7 @@ from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
+from motorhil.motorapi.api.can_drive import CanDrive
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import Setpoint
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
@@ -289,4 +290,18 @@ def a_status_that_stays_away_is_awaited():
 def unnoticed_failure_is_forgotten():
     """A motion that failed while no caller waited goes on after the drive was set up again."""
     with replaced(LogicalMotor, "_bury_failed_run", lambda _: lambda self: None):
+        yield
+
+
+@mutant("rmd", "LOST-13")
+def any_silence_is_a_loss():
+    """A drive counts as lost after a quarter of the time that its option states."""
+
+    def wrong(expect):
+        def sooner(self, what, within_s, on_loss):
+            return expect(self, what, 0.25 * within_s, on_loss)
+
+        return sooner
+
+    with replaced(CanDrive, "expect", wrong):
         yield

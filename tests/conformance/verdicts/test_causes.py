@@ -13,7 +13,8 @@ from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.conformance.target import Target
 from motorhil.harness.conformance.verdicts.causes import groups_of, summary_of
-from motorhil.harness.conformance.verdicts.diagnosis import name_of
+from motorhil.harness.conformance.verdicts.diagnosis import diagnose, name_of
+from motorhil.motorapi import MotionInterrupted
 from tests.conformance.mutants import MUTANTS, replaced
 from tests.conformance.mutants.everyone import MODULES
 from tests.conformance.verdicts.named_causes import NAMED_CAUSES
@@ -151,3 +152,10 @@ def test_summary_tells_first_clause_in_full_and_others_by_id():
 )
 def test_factor_has_the_name_of_its_mistake(factor, words):
     assert name_of(factor, 66.0) == words
+
+
+@pytest.mark.parametrize(("clause", "is_doubted"), [("HOME-01", True), ("OTHER-01", False)])
+def test_interruption_by_nothing_is_doubted(clause, is_doubted):
+    error = MotionInterrupted(motor="left", by="another program", at_ns=0)
+    cause = diagnose(CLAUSES[clause], error, f"raised {error}", "", None).cause
+    assert ("nothing on this bench ended the motion" in cause) is is_doubted

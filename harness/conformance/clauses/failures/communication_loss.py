@@ -4,6 +4,7 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 `dead_man_s` and `brake_s`.
 """
 
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from functools import partial
 from itertools import product
@@ -22,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_usable,
     failure_of,
     finish,
+    follow,
     is_over_soon,
     long_move,
     midway_s,
@@ -42,6 +44,7 @@ from motorhil.motorapi import (
     Motor,
     MotorError,
     MotorState,
+    TrapezoidalTrajectory,
 )
 
 _BACK_S = 1.0
@@ -215,6 +218,7 @@ def command_to_lost_drive_is_never_executed_later(bench: RigProtocol) -> None:
 @clause(
     "LOST-07",
     Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.RESTART, Ability.AFRESH},
     source="CiA 301, 7.2.8.3.3 boot-up; MotorHooks._connect",
 )
@@ -357,6 +361,41 @@ def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
         if error is None:
             what = f"its drive was {trouble} in a motion, which nobody awaited; later, done"
             expect_moved(bench, motor, before, way, what)
+
+
+@clause(
+    "LOST-13",
+    Level.L5,
+    needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
+    bench={Ability.LOSE, Ability.AFRESH},
+    source="The rig: borne_s; timeouts of the adaptation, which are longer than that",
+)
+def short_silence_is_borne(bench: RigProtocol) -> None:
+    """A motion goes on through a silence of its drive that is as short as the rig states."""
+    borne_s = bench.facts.borne_s
+    if borne_s is None:
+        raise NotApplicable("the rig does not state borne_s")
+    begins: tuple[tuple[str, Callable[[Motor, float], None]], ...] = (
+        ("a trajectory", lambda motor, way: follow(motor, TrapezoidalTrajectory(way))),
+        ("a set-point", lambda motor, way: aim(motor, way, relative=True)),
+    )
+    for what, begin in begins:
+        for delay_s in (0.0, 0.003, 0.011):
+            bench.afresh()
+            motor, way = bench.motor, long_move(bench)
+            motor.enable()
+            before = position_of(bench, motor)
+            begin(motor, way)
+            rest_for(bench, 0.3 * shortest_s(motor, way) + delay_s)
+            with bench.lose_answers_of(motor) as lost:
+                error = failure_of(partial(motor.wait_until_done, borne_s))
+                is_struck = lost() > 0
+            if isinstance(error, DeadlineExceeded):  # of this wait
+                error = failure_of(partial(finish, bench, motor, shortest_s(motor, way)))
+            text = f"{what}, whose drive was silent for {borne_s:g} s"
+            reached(is_struck, f"{text}: a lost frame")
+            expect(error is None, f"{text}, failed: {error!r}")
+            expect_moved(bench, motor, before, way, text)
 
 
 @clause(

@@ -6,7 +6,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.clauses.process_data import (
+from motorhil.harness.conformance.drives.clauses.communication.process_data import (
     SYNC_S,
     configure,
     operational,

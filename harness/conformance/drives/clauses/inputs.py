@@ -6,12 +6,12 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.clauses.homing import home_beside_zero, scale
-from motorhil.harness.conformance.drives.clauses.process_data import (
+from motorhil.harness.conformance.drives.clauses.communication.process_data import (
     configure,
     operational,
     quiet_other_pdos,
 )
+from motorhil.harness.conformance.drives.clauses.homing import home_beside_zero, scale
 from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, Mode

@@ -14,7 +14,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tests.conformance.mutants.by_rule.classified import Reason, known, read, reason_of
-from tests.conformance.mutants.by_rule.execution import Execution, Run, measured, of_clauses
+from tests.conformance.mutants.by_rule.execution import (
+    Execution,
+    Run,
+    before_benches,
+    measured,
+    of_clauses,
+)
 from tests.conformance.mutants.by_rule.sources import Mutant, mutant_of, sample
 from tests.conformance.mutants.by_rule.trial import Outcome, Trial, prepare, tried
 
@@ -86,7 +92,10 @@ def trials_of(options: argparse.Namespace) -> Iterator[Trial]:
     """Yield the trial of each mutant; show the progress on stderr."""
     prepare()
     runs = of_clauses(options.clause, options.bench) if options.clause else []
-    execution = Execution([], {}, []) if options.clause else measured(options.bench)
+    if options.clause:
+        execution = Execution(runs, before_benches(options.bench), [])
+    else:
+        execution = measured(options.bench)
     prepare(execution.modules)
     for number, mutant in enumerate(mutants_of(options), 1):
         plan = runs or execution.plan(mutant, options.seconds)

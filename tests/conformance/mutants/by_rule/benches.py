@@ -16,6 +16,33 @@ VARIANTS: Final = (
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
     "position limits in the drive",
 )
+VARIED: Final = {
+    "cia402": (
+        *("motor options", "lost host disables", "units of the drive + reversing gear"),
+        *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
+    ),
+    "dryve": ("dryve options + dryve drive options + velocities in rpm",),
+    "dynamixel": ("servo options + servo drive options",),
+    "ideal": ("ideal motor begins at 0.3 rad + ideal motor with limited jerk",),
+    "leadshine": ("Leadshine over TCP + Leadshine options + Leadshine drive options",),
+    "mit": ("impedance options + impedance drive options + other ranges",),
+    "moteus": ("moteus options + moteus drive options",),
+    "oriental_az": ("AZ over TCP + AZ options + AZ drive options",),
+    "rmd": ("RMD options + RMD drive options",),
+    "robstride": ("RobStride options + other ranges of a RobStride",),
+    "software": ("servo options of the host + gains of the host's servo", "amplifier options"),
+    "vesc": ("VESC options + VESC drive options",),
+}
+"""Further variations of the kit, by kind: those of options, and pairs of others."""
+_FEW: Final = (
+    *("UNIT-01", "STATE-01", "STATE-02", "MEAS-01", "MEAS-02", "MEAS-04", "SET-01", "SET-03"),
+    *("TRAJ-01", "TRAJ-03", "TRAJ-13", "TRAJ-14", "SYNC-11", "SYNC-12", "SYNC-17", "LOW-09"),
+    *("SET-05", "SET-10", "TRAJ-02", "TRAJ-04", "TRAJ-05", "TRAJ-11", "LEAD-01", "START-03"),
+    *("LIM-02", "STOP-01", "STOP-03", "FAULT-01", "FAULT-03", "HEAR-02", "HEAR-03", "LOW-04"),
+    *("SHARE-03", "SYNC-01", "SYNC-03", "SYNC-07", "OTHER-01", "OVER-01", "LOST-01", "LOST-03"),
+    *("LOST-07", "LOST-13", "PAR-01"),
+)
+"""The clauses on further variations, since all others say nothing new."""
 _OF: Final = "cia402: "
 _DRIVE: Final = "drive: "
 
@@ -27,7 +54,8 @@ def names() -> tuple[str, ...]:
     from tests.support.kit_benches import KINDS
 
     variants = (f"{_OF}{one}" for one in VARIANTS)
-    return (*KINDS, *variants, *(f"{_DRIVE}{one}" for one in DRIVES))
+    varied = (f"{kind}: {name}" for kind, names in VARIED.items() for name in names)
+    return (*KINDS, *variants, *varied, *(f"{_DRIVE}{one}" for one in DRIVES))
 
 
 def is_of_drive(name: str) -> bool:
@@ -42,7 +70,9 @@ def clauses(name: str) -> Any:
     from tests.conformance.drives import rigs
 
     if not is_of_drive(name):
-        return all_clauses()
+        kind, _, variation = name.partition(": ")
+        is_further = variation in VARIED.get(kind, ())
+        return {key: one for key, one in all_clauses().items() if key in _FEW or not is_further}
     own = rigs.CLAUSES.get(name.removeprefix(_DRIVE))
     return {key: one for key, one in drive_clauses().items() if own is None or key in own}
 
@@ -58,6 +88,8 @@ def has_known_finding(clause: str, name: str) -> bool:
 def opener(name: str) -> Any:
     """Return an opener of this bench."""
     from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+    from motorhil.harness.conformance.job import Job
+    from motorhil.harness.conformance.target import Target
     from motorhil.harness.rig.config.rig_file import read_rig
     from motorhil.harness.rig.rig import installed_plugins
     from tests.conformance import variants
@@ -66,7 +98,10 @@ def opener(name: str) -> Any:
 
     if is_of_drive(name):
         return rigs.opener(name.removeprefix(_DRIVE))
-    if not name.startswith(_OF):
+    kind, _, variation = name.partition(": ")
+    if variation in VARIED.get(kind, ()):
+        return Target(Job(kind)).opener(None, variation)
+    if not variation:
         return kit_benches.opener(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "rig.toml")

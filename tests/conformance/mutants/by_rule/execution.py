@@ -123,6 +123,25 @@ def of_clauses(clauses: Collection[str], only: str = "") -> list[Run]:
     return runs
 
 
+def before_benches(only: str = "") -> dict[str, int]:
+    """Return the statements of functions that are executed before a bench is opened, by source.
+
+    Args:
+        only: a part of the names of benches; the others take no part.
+    """
+
+    def look(tell: Tell) -> None:
+        limit(_LONG_S, 10.0 * _LONG_S)
+        import_instrumented()
+        for bench in benches.names():
+            if only in bench:
+                benches.opener(bench)
+        tell(_texts(hits(clear=True)))
+
+    (found,) = answers(look)
+    return _bits(found)
+
+
 def _run_these(bench: str, clauses: Collection[str], tell: Tell) -> None:
     limit(_LONG_S, 10.0 * _LONG_S)
     for clause in benches.clauses(bench):

@@ -10,7 +10,7 @@ import pytest
 
 from motorhil.harness.version import cores_are_compiled
 from tests.conformance.mutants.by_rule.classified import read
-from tests.conformance.mutants.by_rule.execution import Execution, Run
+from tests.conformance.mutants.by_rule.execution import Execution, Run, before_benches
 from tests.conformance.mutants.by_rule.loading import instrumented, mutated
 from tests.conformance.mutants.by_rule.rules import edits
 from tests.conformance.mutants.by_rule.sources import Mutant, files, functions, mutants_in, sample
@@ -208,3 +208,9 @@ def test_child_that_imports_afresh_leaves_files_of_its_parent():
         [sys.executable, "-c", AFRESH], cwd=CHECKOUT, capture_output=True, text=True, check=True
     )
     assert result.stdout.strip() == "[] True"
+
+
+def test_early_statements_are_known_without_measuring():
+    found = before_benches("ideal")
+    assert found["motorapi/model.py"]
+    assert all(file.startswith(("motorapi/", "emulators/")) for file in found)

@@ -8,7 +8,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.clauses.network import START
+from motorhil.harness.conformance.drives.clauses.communication.network import START
 from motorhil.harness.conformance.drives.client import SYNC, Frame
 from motorhil.harness.conformance.drives.drive import QUIET_S, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause

@@ -1,0 +1,227 @@
+"""L2: parameters of a drive, per logical motor, and what the hardware object of a drive tells.
+
+Both differ between adaptations, so that a clause is applicable if it finds what it knows.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from math import inf
+from typing import Any, Final
+
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    expect_raises,
+    finish,
+    follow,
+    long_move,
+    move,
+    rest_for,
+    shortest_s,
+)
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.motorapi import LimitError, Motor, TrapezoidalTrajectory, UnsupportedError, UsageError
+
+_WINDOWS: Final = (0x6067, 0x6068, 0x6065, 0x6066, 0x606D, 0x606E)  # CiA 402-2
+"""Window and time of position, following error and velocity."""
+_POSITION, _STATUSWORD, _SHOWN = 0x6064, 0x6041, 0x6061
+_DEVICE_TYPE, _IDENTITY, _NAME, _HEARTBEAT = 0x1000, 0x1018, 0x1008, 0x1017  # CiA 301
+_STATE_BITS: Final = 0x6F
+_FAULT_BITS, _FAULT = 0x4F, 0x08
+_PP, _PV = 1, 3
+_OFF: Final = 0xFFFF_FFFF
+_LOOK_S: Final = 0.2
+_PERIOD_MS: Final = 95
+
+
+def _parameters_of(motor: Motor) -> tuple[Any, Callable[[Any], None]]:
+    """Return the parameters of a motor, and the method that sets them.
+
+    Raises:
+        NotApplicable: it has none.
+    """
+    found, setter = getattr(motor, "parameters", None), getattr(motor, "set_parameters", None)
+    if found is None or setter is None:
+        raise NotApplicable("the motor has no parameters")
+    return found, setter
+
+
+def _hardware_of(motor: Motor) -> Any:
+    """Return the hardware object of a motor, which reads objects at any time.
+
+    Raises:
+        NotApplicable: it reads none.
+    """
+    motor.disable()
+    with motor.low_level() as hardware:
+        if not hasattr(hardware, "read"):
+            raise NotApplicable("the hardware object reads no objects")
+        return hardware
+
+
+def _read_in_motion(bench: RigProtocol, motor: Motor, hardware: Any, way: float) -> list[int]:
+    """Return the windows of the drive during a move."""
+    follow(motor, TrapezoidalTrajectory(way))
+    found = [hardware.read(index) for index in _WINDOWS]
+    finish(bench, motor, shortest_s(motor, way))
+    return found
+
+
+@clause(
+    "PAR-01",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    bench={Ability.SEVERAL_USERS},
+    source="paper, 3.2 and 3.5, motor parameters; CiA 402-2, 6065h to 6068h, 606Dh, 606Eh",
+)
+def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
+    """Parameters are written for the next start of their motor, and not for that of another."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    move(bench, motor, 0.01 * way)
+    own, set_parameters = _parameters_of(motor)
+    names = ("position_window", "following_error_window", "velocity_window")
+    if not all(hasattr(own, name) for name in names):
+        raise NotApplicable("its parameters are not those of a CiA 402 drive")
+    hardware = _hardware_of(motor)
+    begin, begin_inc = motor.position(), hardware.read(_POSITION)
+    before = _read_in_motion(bench, motor, hardware, way)
+    per_unit = abs((hardware.read(_POSITION) - begin_inc) / (motor.position() - begin))
+    kind = type(own)
+    window, following = 0.02 * way, 0.5 * way
+    stated = kind(
+        position_window=window,
+        position_window_s=0.007,
+        following_error_window=following,
+        following_error_s=0.03,
+        velocity_window=0.1 * motor.model.velocity_max,
+        velocity_window_s=0.009,
+    )
+    set_parameters(stated)
+    expect(_parameters_of(motor)[0] == stated, "parameters are not those that were set")
+    early = [hardware.read(index) for index in _WINDOWS]
+    expect(early == before, f"parameters are written before a start: {early}; before: {before}")
+    found = _read_in_motion(bench, motor, hardware, -way)
+    wanted = [window * per_unit, 7, following * per_unit, 30, None, 9]
+    for index, seen, value, was in zip(_WINDOWS, found, wanted, before, strict=True):
+        is_right = seen not in (was, 0) if value is None else abs(seen - value) <= 0.02 * value + 1
+        text = "another value than before" if value is None else f"{value:.0f}"
+        expect(is_right, f"a start with parameters: {index:04X}h is {seen}; expected {text}")
+    set_parameters(kind(following_error_window=inf))
+    found = _read_in_motion(bench, motor, hardware, way)
+    wanted = [*before[:2], _OFF, *before[3:]]
+    expect(found == wanted, f"following_error_window = inf alone: {found}; expected {wanted}")
+    found = _read_in_motion(bench, bench.another_user_of(motor), hardware, -way)
+    expect(found == before, f"a start of another logical motor: {found}; expected {before}")
+    _expect_refusals(motor, kind, set_parameters)
+
+
+def _expect_refusals(motor: Motor, kind: Any, set_parameters: Callable[[Any], None]) -> None:
+    """Expect wrong parameters to be refused, when they are made or used."""
+    expect_raises(UsageError, lambda: set_parameters({}), "a dict as parameters was accepted")
+    for name, value in (
+        ("position_window", 0.0),
+        ("position_window", inf),
+        ("position_window_s", -0.001),
+        ("position_window_s", 66.0),
+        ("following_error_window", -1.0),
+        ("velocity_window", "1"),
+        ("velocity_gains", 1),
+        ("velocity_gains", (1.5,)),
+        ("position_gains", (True,)),
+    ):
+        what = f"parameters with {name} = {value!r} were accepted"
+        expect_raises((UsageError, TypeError), partial(kind, **{name: value}), what)
+    for name in ("position_window", "following_error_window"):
+        for value in (1e-12, 1e12):
+            set_parameters(kind(**{name: value}))
+            what = f"a start with {name} = {value:g} was accepted"
+            expect_raises(LimitError, motor.start, what)
+    set_parameters(kind())
+
+
+@clause(
+    "LOW-09",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY, Capability.FAULTS},
+    bench={Ability.FAULT},
+    source="paper 3.5, the hardware object; CiA 402-2, 6041h, 6060h, 6064h; CiA 301, SDO, EMCY",
+)
+def hardware_object_tells_its_drive(bench: RigProtocol) -> None:
+    """The hardware object of a CiA 402 drive tells its status, modes, EMCYs and objects truly."""
+    motor = bench.motor
+    move(bench, motor, 0.1 * long_move(bench))
+    motor.disable()
+    with motor.low_level() as found:
+        hardware: Any = found
+        names = ("statusword", "state", "position_inc", "emergencies", "set_mode", "sdo", "listen")
+        if not all(hasattr(hardware, name) for name in names):
+            raise NotApplicable("the hardware object is not that of a CiA 402 drive")
+        hardware.enable()
+        hardware.refresh()
+        word, position = hardware.read(_STATUSWORD), hardware.read(_POSITION)
+        seen = hardware.statusword & _STATE_BITS, hardware.position_inc
+        expect(
+            seen[0] == word & _STATE_BITS and abs(seen[1] - position) <= 2,
+            f"statusword and position_inc are {seen}; 6041h and 6064h are {word:04X}h, {position}",
+        )
+        expect("ENABLED" in str(hardware.state).upper(), f"enabled, the state is {hardware.state}")
+        for mode in (_PV, _PP):
+            with suppress(UnsupportedError):
+                hardware.set_mode(mode)
+                shown = hardware.read(_SHOWN)
+                expect(shown == mode, f"set_mode({mode}): 6061h is {shown}")
+        expect_raises(UsageError, partial(hardware.set_mode, 99), "mode 99 was accepted")
+        _expect_objects(hardware)
+        hardware.disable()
+        rest_for(bench, _LOOK_S)
+        count = len(hardware.emergencies)
+        code = bench.fail(motor)
+        rest_for(bench, _LOOK_S)
+        codes = [getattr(one, "code", None) for one in hardware.emergencies]
+        expect(code in codes[count:], f"fault {code:04X}h: the EMCYs are {codes}")
+        word = hardware.statusword
+        expect(word & _FAULT_BITS == _FAULT, f"fault {code:04X}h: the statusword is {word:04X}h")
+        hardware.reset_fault()
+        rest_for(bench, _LOOK_S)
+        word = hardware.statusword
+        expect(word & _FAULT_BITS != _FAULT, f"reset: the statusword is still {word:04X}h")
+        expect(f"{hardware!r}" != "", "the hardware object has no text")
+    before = motor.position()
+    move(bench, motor, 0.1 * long_move(bench))
+    expect(motor.position() != before, "the motor does not move any more")
+
+
+def _expect_objects(hardware: Any) -> None:
+    """Expect the same objects by every way, and wrong accesses refused."""
+    identity = hardware.upload(_IDENTITY, 1)
+    with hardware.sdo() as sdo:
+        seen = sdo.upload(_IDENTITY, 1)
+        expect(seen == identity, f"canopen's client reads {seen!r} in 1018h:1, not {identity!r}")
+        sdo.download(_HEARTBEAT, 0, (_PERIOD_MS).to_bytes(2, "little"))
+        with sdo.open(_NAME, block_transfer=True) as stream:
+            name = stream.read()
+    whole = hardware.upload(_NAME)
+    expect(name == whole, f"canopen's client reads {name!r} in 1008h by blocks, not {whole!r}")
+    text = hardware.read(_NAME, kind="string")
+    expect(text.encode() == whole, f"1008h as a string is {text!r}; its bytes are {whole!r}")
+    period = hardware.read(_HEARTBEAT)
+    expect(period == _PERIOD_MS, f"1017h is {period}; canopen's client wrote {_PERIOD_MS}")
+    by_name = hardware.read("device_type")
+    expect(by_name == hardware.read(_DEVICE_TYPE), f"device_type is {by_name:X}h")
+    node = hardware.node.node_id
+    with hardware.listen(0x580 + node) as inbox:
+        hardware.send_frame(0x600 + node, bytes.fromhex("40 00 10 00 00 00 00 00"))
+        answer = inbox.receive(1.0)
+    expect(answer.data[:4] == bytes.fromhex("43 00 10 00"), f"listen(): {answer.data.hex(' ')}")
+    for what, operation in (
+        ("a name that no object has", partial(hardware.read, "no such name")),
+        ("sub-index 256", partial(hardware.read, _DEVICE_TYPE, 256)),
+        ("index 10000h", partial(hardware.upload, 0x10000)),
+        ("an unknown kind", partial(hardware.read, _DEVICE_TYPE, 0, "u7")),
+        ("a text for a number", partial(hardware.write, _HEARTBEAT, "x")),
+        ("70000 for 16 bits", partial(hardware.write, _HEARTBEAT, 70_000)),
+        ("a list for bytes", partial(hardware.download, _HEARTBEAT, 0, [1, 2])),
+        ("9 bytes in a frame", partial(hardware.send_frame, 0x7FF, bytes(9))),
+    ):
+        expect_raises(UsageError, operation, f"the hardware object accepted {what}")
