@@ -10,6 +10,7 @@
  *   descriptors.c  waits for file descriptors, and timers that are descriptors
  *   can.c          CAN sockets
  *   netlink.c     questions for CAN interfaces
+ *   lines.c        gateways and serial ports
  *   refusals.c     what is not supported, told by name
  *
  * Rules of turn, as in motorhil/harness/virtual_time/runtime.py:
@@ -137,7 +138,7 @@ struct timespec timespec_of(int64_t time_ns);
 void note_main_thread(void);
 
 /* descriptors.c */
-enum kind { OWN, CAN, TIMER };
+enum kind { OWN, CAN, TIMER, LINE };
 struct descriptor {
     enum kind kind;
     int references; /* descriptors of the program */
@@ -167,5 +168,19 @@ int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
 struct msghdr;
 bool answer_netlink(int fd, const struct msghdr *message);
 ssize_t take_netlink(int fd, void *data, size_t size, int flags, void *address, void *address_size);
+
+/* lines.c */
+struct line_end;
+struct sockaddr;
+struct iovec;
+bool is_line(int fd);
+bool connect_line(int fd, const struct sockaddr *address, unsigned size, int *result);
+void close_line(struct line_end *end);
+bool is_option_of_line(int fd, int level);
+bool hear_line(unsigned port, int64_t time_ns, bool is_transmitted, const void *data, size_t size);
+ssize_t send_line(int fd, const void *data, size_t size, int flags);
+ssize_t send_parts(int fd, const struct iovec *parts, int count, int flags);
+bool await_characters(int fd, ssize_t *result);
+int line_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
 
 #endif

@@ -376,7 +376,7 @@ static void send_idle(void)
 /* Give the turn back; serve the rig's calls until a wait of this program has ended; return it. */
 static struct wait *next_turn(void)
 {
-    uint8_t record[2048];
+    static uint8_t record[RECORD_MAX]; /* of the one thread that serves the rig */
     for (;;) {
         send_idle();
         size_t size = receive_record(record, sizeof record);
@@ -387,6 +387,9 @@ static struct wait *next_turn(void)
         case RECORD_HEARD:
         case RECORD_TOLD:
             rig.now_ns = delivery->time_ns;
+            if (hear_line(delivery->port, delivery->time_ns, delivery->is_transmitted,
+                          delivery->frame, size - sizeof *delivery))
+                break;
             hear(delivery->port, delivery->time_ns, delivery->is_transmitted,
                  record[0] == RECORD_TOLD, delivery->frame, size - sizeof *delivery);
             break;
@@ -400,7 +403,7 @@ static struct wait *next_turn(void)
             struct wait *wait = take_wait(turn->wait);
             if (!wait) break;
             wait->result = turn->result;
-            snprintf(rig.reason, sizeof rig.reason, "%s", turn->reason);
+            snprintf(rig.reason, sizeof rig.reason, "%.2000s", turn->reason);
             return wait;
         default:
             refuse("record %u of the rig: unknown; expected the same version on both sides",

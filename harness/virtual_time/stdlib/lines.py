@@ -42,7 +42,12 @@ _SEND_LIMIT: Final = struct.pack("ll", 0, 1_000)  # struct timeval; nobody reads
 _SIGNALS: Final = struct.pack(
     "I", termios.TIOCM_DTR | termios.TIOCM_RTS | termios.TIOCM_CTS | termios.TIOCM_DSR
 )
-_FIRST_SETTINGS: Final = (0, 0, termios.CS8 | termios.CREAD | termios.CLOCAL, 0)
+_FIRST_SETTINGS: Final = (  # of a terminal of Linux that no program has set
+    termios.ICRNL | termios.IXON,
+    termios.OPOST | termios.ONLCR,
+    termios.B9600 | termios.CS8 | termios.CREAD | termios.CLOCAL,
+    termios.ISIG | termios.ICANON | termios.ECHO | termios.ECHOE | termios.ECHOK | termios.IEXTEN,
+)
 _RATES: Final = {
     value: int(name[1:]) for name, value in vars(termios).items() if re.fullmatch(r"B\d+", name)
 }
@@ -210,7 +215,7 @@ class _End:
 
     def _end_input(self) -> None:
         with suppress(OSError):
-            self._inner.shutdown(socket.SHUT_WR)
+            self._inner.shutdown(socket.SHUT_RDWR)  # writes fail as those to a closed connection
 
     def _tell(self, text: str) -> None:
         if not self._is_told:
@@ -220,9 +225,9 @@ class _End:
     def set(self, settings: list[Any]) -> None:
         """Take settings of termios; tell of those that the line has not."""
         self.settings = [*settings[:6], list(settings[6])]
-        cflag, speed = settings[2], settings[5]
-        if speed != termios.EXTB + 1 and speed in _RATES:
-            self.compare(_RATES[speed], cflag)
+        restores = settings[3] == _FIRST_SETTINGS[3]
+        if settings[5] in _RATES and not restores:
+            self.compare(_RATES[settings[5]], settings[2])
 
     def compare(self, rate: int, cflag: int) -> None:
         """Tell of a bit rate [bit/s] or characters that differ from those of the line."""

@@ -178,6 +178,8 @@ def test_gateway_closes_connection_with_foreign_bytes(gateway):
     with connection() as own:
         own.sendall(b"GET / HTTP/1.1\r\n\r\n")
         assert own.recv(64) == b""
+        with pytest.raises(BrokenPipeError):
+            own.send(REQUEST)
 
 
 def endpoints(rig):
@@ -317,19 +319,21 @@ def test_flush_drops_what_was_received(wires):
         assert struct.unpack("I", fcntl.ioctl(fd, termios.FIONREAD, bytes(4))) == (0,)
 
 
-def test_port_is_a_terminal_with_settings(wires):
+def test_port_is_a_terminal_with_settings(wires, capsys):
     with port() as fd:
         assert os.isatty(fd)
-        settings = termios.tcgetattr(fd)
-        settings[2] |= termios.HUPCL
+        first = termios.tcgetattr(fd)
+        settings = [*first[:2], first[2] | termios.HUPCL, *first[3:]]
         termios.tcsetattr(fd, termios.TCSANOW, settings)
         assert termios.tcgetattr(fd) == settings
         tty.setraw(fd)
-        assert termios.tcgetattr(fd)[3] == 0
+        assert not termios.tcgetattr(fd)[3] & (termios.ICANON | termios.ECHO)
+        termios.tcsetattr(fd, termios.TCSANOW, first)  # as it was, whatever its bit rate
         signals = struct.unpack("I", fcntl.ioctl(fd, termios.TIOCMGET, bytes(4)))[0]
         assert signals & termios.TIOCM_CTS
         with pytest.raises(OSError, match="not supported"):
             fcntl.ioctl(fd, termios.TIOCGPGRP, bytes(4))
+    assert "9600" in capsys.readouterr().err  # tty.setraw keeps the bit rate
 
 
 @pytest.mark.parametrize(
