@@ -103,6 +103,12 @@ int main(int argc, char **argv)
     int is_tcp = !strcmp(argv[2], "tcp"), size = 0, wanted = is_tcp ? 11 : 7;
     sleep(1);
     int fd = is_tcp ? connected(argv[3], argv[4], act) : opened(argv[3], act);
+    for (int i = 0; i < 300 && !strcmp(act, "reopen"); i++) { /* more than a program may have */
+        int copy = dup(fd);
+        close(fd);
+        close(copy);
+        fd = is_tcp ? connected(argv[3], argv[4], act) : opened(argv[3], act);
+    }
     if (fd < 0) return 1;
     struct iovec parts[2] = {{(void *)(is_tcp ? tcp : rtu), 4},
                              {(void *)((is_tcp ? tcp : rtu) + 4), is_tcp ? 8 : 4}};

@@ -105,7 +105,9 @@ def time_of(line):
 
 @needs_compiler
 @pytest.mark.parametrize("line", ["tcp", "rtu"])
-@pytest.mark.parametrize("act", ["block", "poll", "select", "epoll", "timeout", "vtime", "drain"])
+@pytest.mark.parametrize(
+    "act", ["block", "poll", "select", "epoll", "timeout", "vtime", "drain", "reopen"]
+)
 def test_plain_c_client_has_answer_of_drive_after_its_times(run, tmp_path, line, act):
     if act in {"tcp": ("vtime", "drain"), "rtu": ("timeout",)}[line]:
         pytest.skip("of the other kind of line")
