@@ -150,6 +150,7 @@ int set_apart(int fd);
 bool is_blocking(int fd, int flags);
 enum result wait_for_input(int fd, int64_t deadline_ns);
 bool await_input(int fd, int flags);
+void look_at(int fd);
 ssize_t charged(ssize_t result);
 void expire_timer(uint32_t number);
 
@@ -173,7 +174,10 @@ ssize_t take_netlink(int fd, void *data, size_t size, int flags, void *address, 
 struct line_end;
 struct sockaddr;
 struct iovec;
+struct epoll_event;
 bool is_line(int fd);
+bool note_member(int epoll, int operation, int fd, const struct epoll_event *event);
+void forget_members(int fd);
 bool connect_line(int fd, const struct sockaddr *address, unsigned size, int *result);
 void close_line(struct line_end *end);
 bool is_option_of_line(int fd, int level);

@@ -93,6 +93,7 @@ static void release(int fd)
 {
     struct descriptor *descriptor = descriptor_of(fd);
     if (fd >= 0 && fd < DESCRIPTORS_MAX) is_told[fd] = false;
+    forget_members(fd);
     if (!descriptor || getpid() != rig.pid) return; /* a child by vfork shares the table */
     descriptors[fd] = NULL;
     if (--descriptor->references) return;
@@ -219,7 +220,7 @@ static const char *outsider(int fd)
 }
 
 /* Tell once of a descriptor whose other end has the time of the wall. */
-static void look_at(int fd)
+void look_at(int fd)
 {
     if (fd < 0 || fd >= DESCRIPTORS_MAX || is_told[fd] || descriptors[fd]) return;
     is_told[fd] = true;
@@ -406,8 +407,10 @@ EXPORT int epoll_wait(int epoll, struct epoll_event *events, int count, int time
 
 EXPORT int epoll_ctl(int epoll, int operation, int fd, struct epoll_event *event)
 {
-    if (operation == EPOLL_CTL_ADD && in_rig()) look_at(fd);
-    return REAL(epoll_ctl)(epoll, operation, fd, event);
+    int result = REAL(epoll_ctl)(epoll, operation, fd, event);
+    if (result || !in_rig()) return result;
+    if (!note_member(epoll, operation, fd, event) && operation == EPOLL_CTL_ADD) look_at(fd);
+    return 0;
 }
 
 /* ---- reads and writes ------------------------------------------------------------------------ */

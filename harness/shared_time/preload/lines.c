@@ -18,13 +18,14 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/epoll.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <termios.h>
 #include <unistd.h>
 
 enum { RECORD_OPEN = 17, RECORD_CLOSE, RECORD_SEND, RECORD_OPENED = 34 };
-enum { LINES_MAX = 64, PIECE = 4096, MODBUS_PORT = 502, VTIME_NS = 100000000 };
+enum { LINES_MAX = 64, PIECE = 4096, MODBUS_PORT = 502, VTIME_NS = 100000000, MEMBERS_MAX = 256 };
 
 /* A line of MOTORHIL_LINES: name, address, bit rate, bits of a character, format, t3.5. */
 struct line {
@@ -66,6 +67,8 @@ static const struct termios first_settings = {
 static struct line lines[LINES_MAX];
 static int line_count = NEVER; /* not yet read */
 static struct line_end *ends;
+
+static struct line_end *end_of(int fd);
 
 static int failed(int error)
 {
@@ -131,6 +134,62 @@ static void tell_hardware(const char *call, const char *place)
     tell("program '%s': %s %s: hardware cannot be reached, and no line of the rig is there (its"
          " lines: %s); write address = \"%s\" in its [bus.NAME]",
          rig.name, call, place, *known ? known : "none", place);
+}
+
+/* ---- sets of epoll ------------------------------------------------------------------------ */
+
+/* Unconnected sockets in sets of epoll, which a connection to a line would leave. */
+static struct member {
+    int epoll, fd; /* fd -1: free */
+    struct epoll_event event;
+} members[MEMBERS_MAX];
+static int member_count;
+
+static void forget_member(int epoll, int fd)
+{
+    for (int i = 0; i < member_count; i++)
+        if (members[i].fd == fd && (epoll < 0 || members[i].epoll == epoll)) members[i].fd = -1;
+}
+
+/* Return whether a TCP socket may yet connect to a gateway. */
+static bool is_unconnected(int fd)
+{
+    int domain = 0, type = 0, listens = 0;
+    socklen_t size = sizeof domain, peer_size = sizeof(struct sockaddr_storage);
+    struct sockaddr_storage peer;
+    return REAL(getsockopt)(fd, SOL_SOCKET, SO_DOMAIN, &domain, &size) == 0 &&
+           (domain == AF_INET || domain == AF_INET6) &&
+           REAL(getsockopt)(fd, SOL_SOCKET, SO_TYPE, &type, &size) == 0 && type == SOCK_STREAM &&
+           REAL(getsockopt)(fd, SOL_SOCKET, SO_ACCEPTCONN, &listens, &size) == 0 && !listens &&
+           REAL(getpeername)(fd, (struct sockaddr *)&peer, &peer_size) < 0;
+}
+
+/* Note a change of a set; return whether it is of a socket that may yet connect to a gateway. */
+bool note_member(int epoll, int operation, int fd, const struct epoll_event *event)
+{
+    int place = 0;
+    forget_member(epoll, fd);
+    if (operation == EPOLL_CTL_DEL || is_line(fd) || !is_unconnected(fd)) return false;
+    while (place < member_count && members[place].fd >= 0) place++;
+    if (place == MEMBERS_MAX) return false;
+    if (place == member_count) member_count++;
+    members[place] = (struct member){epoll, fd, *event};
+    return true;
+}
+
+void forget_members(int fd)
+{
+    if (member_count) forget_member(NEVER, fd);
+}
+
+/* Add a socket that has become the end of a line to the sets that it was in. */
+static void rejoin_sets(int fd)
+{
+    for (int i = 0; i < member_count; i++)
+        if (members[i].fd == fd) {
+            members[i].fd = -1;
+            REAL(epoll_ctl)(members[i].epoll, EPOLL_CTL_ADD, fd, &members[i].event);
+        }
 }
 
 static struct line_end *end_of(int fd)
@@ -220,7 +279,11 @@ bool connect_line(int fd, const struct sockaddr *address, socklen_t size, int *r
         type != SOCK_STREAM)
         return false;
     struct line *line = find_line(host, port);
-    if (!line && port != MODBUS_PORT) return false;
+    if (!line && port != MODBUS_PORT) {
+        for (int i = 0; i < member_count; i++)
+            if (members[i].fd == fd) look_at(fd);
+        return false;
+    }
     *result = -1;
     if (!line) {
         snprintf(place, sizeof place, "%s:%d", host, port);
@@ -231,9 +294,10 @@ bool connect_line(int fd, const struct sockaddr *address, socklen_t size, int *r
     int modes = REAL(fcntl)(fd, F_GETFL), is_kept = REAL(fcntl)(fd, F_GETFD) & FD_CLOEXEC;
     int own = open_end(line, &end);
     if (own < 0) return true;
-    if (dup3(own, fd, is_kept ? O_CLOEXEC : 0) < 0) return true;
+    if (REAL(dup3)(own, fd, is_kept ? O_CLOEXEC : 0) < 0) return true;
     REAL(close)(own);
     REAL(fcntl)(fd, F_SETFL, modes & O_NONBLOCK);
+    rejoin_sets(fd);
     keep(fd, &end->descriptor);
     end->peer_size = size < sizeof end->peer ? size : sizeof end->peer;
     memcpy(&end->peer, address, end->peer_size);

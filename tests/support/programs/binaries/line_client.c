@@ -27,6 +27,8 @@
 static const unsigned char tcp[] = {0, 7, 0, 0, 0, 6, 1, 3, 0x10, 3, 0, 1},
                            rtu[] = {1, 3, 0x10, 3, 0, 1, 0x70, 0xCA};
 
+static int early;
+
 static long now_us(void)
 {
     struct timespec now;
@@ -42,6 +44,11 @@ static int connected(const char *host, const char *port, const char *act)
     int fd = socket(found->ai_family, found->ai_socktype | SOCK_CLOEXEC, found->ai_protocol);
     if (!strcmp(act, "epoll")) fcntl(fd, F_SETFL, O_NONBLOCK);
     setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
+    if (!strcmp(act, "early")) { /* as event loops that know a socket before it is connected */
+        struct epoll_event event = {.events = EPOLLIN | EPOLLET};
+        fcntl(fd, F_SETFL, O_NONBLOCK);
+        epoll_ctl(early = epoll_create1(EPOLL_CLOEXEC), EPOLL_CTL_ADD, fd, &event);
+    }
     if (connect(fd, found->ai_addr, found->ai_addrlen)) {
         printf("connect: %s\n", strerror(errno));
         exit(4);
@@ -84,6 +91,10 @@ static int ready(int fd, const char *act)
         FD_SET(fd, &set);
         return select(fd + 1, &set, NULL, NULL, &limit);
     }
+    if (!strcmp(act, "early")) {
+        struct epoll_event event;
+        return epoll_wait(early, &event, 1, 500);
+    }
     if (!strcmp(act, "epoll")) {
         struct epoll_event event = {.events = EPOLLIN};
         int loop = epoll_create1(EPOLL_CLOEXEC);
@@ -95,6 +106,21 @@ static int ready(int fd, const char *act)
     return 1;
 }
 
+/* Connect a socket in a set of epoll to another socket of this program. */
+static int connect_elsewhere(void)
+{
+    struct sockaddr_in address = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(0x7F000001)};
+    socklen_t size = sizeof address;
+    struct epoll_event event = {.events = EPOLLIN};
+    int server = socket(AF_INET, SOCK_STREAM, 0), client = socket(AF_INET, SOCK_STREAM, 0);
+    int loop = epoll_create1(EPOLL_CLOEXEC);
+    if (bind(server, (struct sockaddr *)&address, size) || listen(server, 1)) return 1;
+    if (getsockname(server, (struct sockaddr *)&address, &size)) return 1;
+    if (epoll_ctl(loop, EPOLL_CTL_ADD, client, &event)) return 1;
+    printf("in a set\n");
+    return connect(client, (struct sockaddr *)&address, size) ? 1 : 0;
+}
+
 int main(int argc, char **argv)
 {
     unsigned char answer[64];
@@ -102,6 +128,7 @@ int main(int argc, char **argv)
     const char *act = argv[1];
     int is_tcp = !strcmp(argv[2], "tcp"), size = 0, wanted = is_tcp ? 11 : 7;
     sleep(1);
+    if (!strcmp(act, "elsewhere")) return connect_elsewhere();
     int fd = is_tcp ? connected(argv[3], argv[4], act) : opened(argv[3], act);
     for (int i = 0; i < 300 && !strcmp(act, "reopen"); i++) { /* more than a program may have */
         int copy = dup(fd);

@@ -106,10 +106,10 @@ def time_of(line):
 @needs_compiler
 @pytest.mark.parametrize("line", ["tcp", "rtu"])
 @pytest.mark.parametrize(
-    "act", ["block", "poll", "select", "epoll", "timeout", "vtime", "drain", "reopen"]
+    "act", ["block", "poll", "select", "epoll", "timeout", "vtime", "drain", "reopen", "early"]
 )
 def test_plain_c_client_has_answer_of_drive_after_its_times(run, tmp_path, line, act):
-    if act in {"tcp": ("vtime", "drain"), "rtu": ("timeout",)}[line]:
+    if act in {"tcp": ("vtime", "drain"), "rtu": ("timeout", "early")}[line]:
         pytest.skip("of the other kind of line")
     lines, wrong, _ = run(line, a=[compiled("line_client", tmp_path), act, *WHERE[line]])
     assert wrong == {}, lines
@@ -163,6 +163,14 @@ def test_hostile_c_client_is_told_by_name(run, tmp_path, act, line, where, end, 
     assert wrong == ({} if end is None else {"a": end}), lines
     for part in told:
         assert any(part in one for one in lines), lines
+
+
+@needs_compiler
+def test_socket_that_connects_elsewhere_is_told_once_connected(run, tmp_path):
+    lines, wrong, _ = run("tcp", a=[compiled("line_client", tmp_path), "elsewhere", *WHERE["tcp"]])
+    assert wrong == {}, lines
+    assert lines[0] == "a: in a set"
+    assert "a socket of the network, which has the time of the wall" in lines[1]
 
 
 @needs_compiler
