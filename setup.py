@@ -31,6 +31,8 @@ COMPILED = (
     "emulators/cia402/*.py",
     "emulators/cia402/*/*.py",
     "harness/virtual_time/runtime.py",
+    "harness/shared_time/participant.py",
+    "harness/shared_time/records.py",
     "harness/shared_time/remote_runtime.py",
     "harness/python_can/receive_queue.py",
     "harness/recording/recorder.py",

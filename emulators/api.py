@@ -35,8 +35,13 @@ from motorhil.emulators.firmware import flags
 from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.modbus.rtu import with_crc
-from motorhil.emulators.motor_drive import MotorDrive, drive_builder
-from motorhil.emulators.plant.dc_motor import RANGES
+from motorhil.emulators.motor_drive import (
+    CanMotorDrive,
+    MotorDrive,
+    drive_builder,
+    truncated,
+)
+from motorhil.emulators.plant.dc_motor import RANGES, MotorPlant
 from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.emulators.settings.tables import ns
 from motorhil.settings import (
@@ -69,9 +74,11 @@ __all__ = [
     "RTR_FLAG",
     "VERSION",
     "Axis",
+    "CanMotorDrive",
     "Controller",
     "ControllerContext",
     "MotorDrive",
+    "MotorPlant",
     "MotorSettings",
     "MotorTable",
     "NonvolatileMemory",
@@ -98,6 +105,7 @@ __all__ = [
     "setting",
     "table",
     "text",
+    "truncated",
     "whole",
     "with_crc",
     "word",

@@ -1,19 +1,20 @@
 """The part of an emulated drive with one motor that no protocol changes.
 
 A drive derives from `MotorDrive`, and adds frames and states. The rest of `Controller` is here: the
-queues, the times, the physical inputs, and the true values of the motor. `drive_builder` makes the
-`build` of its kind.
+queues, the times, the physical inputs, the faults that the plant causes, and the true values of the
+motor. `CanMotorDrive` is the same on CAN. `drive_builder` makes the `build` of its kind.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from typing import ClassVar, Final, TypeVar
 
+from motorhil.emulators.can.frame import EFF_FLAG, ERR_FLAG, RTR_FLAG, can_id_of, data_of, pack
 from motorhil.emulators.controller import Controller, ControllerContext, controller
 from motorhil.emulators.firmware.axis import NEVER_NS, Axis
 from motorhil.emulators.firmware.clock import on_own_time
 from motorhil.emulators.plant.dc_motor import RANGES
-from motorhil.emulators.settings.motor import MotorTable
+from motorhil.emulators.settings.motor import MotorSettings, MotorTable, axis_of
 from motorhil.settings import read
 
 _INPUTS: Final = ("load_torque_n_m", "supply_v", "power", "fault")
@@ -23,30 +24,42 @@ class MotorDrive(ABC):
     """A drive without its protocol; see `motorhil.emulators.api.Controller`.
 
     Args:
-        axis: its motor.
+        axis: its axis, or the motor of which the axis is made.
         faults: the codes that the input "fault" accepts.
+        causes: the codes of the faults that the plant can cause, by flag of the axis.
 
     Attributes:
         INPUTS: its own physical inputs, with the range of each.
         axis: its motor.
         is_powered: whether it has power.
         now_ns: the time of the last update.
-        due_ns: its times by name, each until `is_due`; the loss of power cancels them.
+        due_ns: its times by name or method, see `wake`; the loss of power cancels them.
         revision: the number of changes of its identifiers; see `renumber`.
     """
 
     INPUTS: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
-    def __init__(self, axis: Axis, faults: Collection[int]) -> None:
-        self.axis: Final = axis
+    def __init__(
+        self,
+        axis: MotorSettings | Axis,
+        faults: Collection[int],
+        causes: Mapping[int, int] | None = None,
+    ) -> None:
+        self.axis: Final[Axis] = (
+            axis if isinstance(axis, Axis) else axis_of(axis, axis.oscillator.rate())
+        )
         self.is_powered: bool = False
         self.now_ns: int = 0
         self.due_ns: Final[dict[Hashable, int]] = {}
         self.revision: int = 0
         self._faults: Final = faults
+        self._causes: Final = causes or {}
+        self._watched_flags: Final = sum(self._causes)
         self._later: list[tuple[int, bytes]] = []
         self._out: list[bytes] = []
         self._events: list[tuple[str, str]] = []
+        if not isinstance(axis, Axis) and not axis.oscillator.is_ideal():
+            self.note("info", axis.oscillator.told())
 
     # --- what a drive adds
 
@@ -58,6 +71,27 @@ class MotorDrive(ABC):
         """Update the drive to this time, before an input changes."""
         self.now_ns = now_ns
         self.axis.at(now_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """Update the drive; call the methods that are due, and queue the delayed frames."""
+        if not self.is_powered:
+            return
+        self.advance(now_ns)
+        due = [one for one, due_ns in self.due_ns.items() if due_ns <= now_ns and callable(one)]
+        if len(due) > 1:
+            due.sort(key=self.due_ns.__getitem__)
+        for method in due:
+            if self.is_due(method):  # unless one before it has changed that
+                method()
+        if self._later:
+            self.queue_due()
+
+    def causes(self) -> list[int]:
+        """Return the codes of the faults that the plant causes now."""
+        active = self.axis.flags & self._watched_flags
+        if not active:
+            return []
+        return [code for flag, code in self._causes.items() if active & flag]
 
     def watches(self) -> bool:
         """Return whether events of the motor, such as limits of its plant, must be noticed."""
@@ -144,7 +178,11 @@ class MotorDrive(ABC):
         return True
 
     def wake(self, name: Hashable, wait_ns: int) -> None:
-        """Set the time of this name, so long after the last update; 0: cancel it."""
+        """Set the time of this name, so long after the last update; 0: cancel it.
+
+        In place of a name, a method without arguments is called by `expire`; of those that are due
+        at one time, the one that was set first.
+        """
         if wait_ns:
             self.due_ns[name] = self.now_ns + wait_ns
         else:
@@ -214,6 +252,49 @@ class MotorDrive(ABC):
         axis = self.axis
         axis.at(now_ns)
         return {**axis.truth(), **self.truth(), **axis.truth_of_extras()}
+
+
+class CanMotorDrive(MotorDrive):
+    """A `MotorDrive` on CAN, which hears classical data frames with its kind of identifiers.
+
+    Attributes:
+        FLAG: EFF_FLAG for identifiers of 29 bits.
+    """
+
+    FLAG: ClassVar[int] = 0
+
+    def hears(self, now_ns: int) -> bool:
+        """Return whether it hears frames at all, with power."""
+        return True
+
+    @abstractmethod
+    def hear(self, can_id: int, data: bytes) -> None:
+        """Handle a data frame; the drive is up to date."""
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Handle a frame from the bus, unless it is remote or of the other kind."""
+        can_id = can_id_of(data)
+        if can_id & (EFF_FLAG | ERR_FLAG | RTR_FLAG) != self.FLAG:
+            return
+        if self.is_powered and self.hears(now_ns):
+            self.advance(now_ns)
+            self.hear(can_id & ~self.FLAG, data_of(data))
+
+    def send(self, can_id: int, data: bytes, wait_ns: int = 0) -> None:
+        """Queue a frame, so long after the last update."""
+        frame = pack(can_id | self.FLAG, data)
+        if wait_ns:
+            self.queue_at(frame, self.now_ns + wait_ns)
+        else:
+            self.queue(frame)
+
+
+def truncated(value: float, bits: int, *, signed: bool = True) -> int:
+    """Return a number truncated toward zero, and limited to a size in bits."""
+    if not signed:
+        return int(max(0, min((1 << bits) - 1, value)))
+    most = 1 << bits - 1
+    return int(max(-most, min(most - 1, value)))
 
 
 def _listed(codes: Collection[int]) -> str:

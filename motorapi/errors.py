@@ -69,14 +69,42 @@ class LimitError(UsageError):
         self.low = low
         self.high = high
         self.unit = unit
+        for digits in (6, 9, 12, 17):  # as many as tell the value from its limit
+            told, least, most = (
+                "" if one is None else f"{one:.{digits}g}" for one in (value, low, high)
+            )
+            if told not in (least, most):
+                break
         if low is not None and high is not None:
-            allowed = f"{low:g} to {high:g} {unit}"
+            allowed = f"{least} to {most} {unit}"
         elif low is not None:
-            allowed = f"at least {low:g} {unit}"
+            allowed = f"at least {least} {unit}"
         else:
-            allowed = f"at most {high:g} {unit}"
+            allowed = f"at most {most} {unit}"
         tail = f" ({reason})" if reason else ""
-        super().__init__(f"{motor}: {quantity} {value:g} {unit}, allowed is {allowed}{tail}")
+        super().__init__(f"{motor}: {quantity} {told} {unit}, allowed is {allowed}{tail}")
+
+
+def require_within(
+    motor: str,
+    quantity: str,
+    value: float,
+    bounds: tuple[float | None, float],
+    unit: str,
+    reason: str,
+) -> None:
+    """Raise LimitError for a value outside its bounds; a lower bound of None: there is none."""
+    low, high = bounds
+    if value > high or (low is not None and value < low):
+        raise LimitError(
+            motor=motor,
+            quantity=quantity,
+            value=value,
+            low=low,
+            high=high,
+            unit=unit,
+            reason=reason,
+        )
 
 
 @final

@@ -14,7 +14,7 @@ Source: the maker's manuals, for profiles 64 V/A [ms] and 64 counts/V [ms].
 from math import pi
 from typing import Final, final
 
-from motorhil.emulators.api import Axis, MotorSettings, axis_of
+from motorhil.emulators.api import Axis, MotorPlant
 from motorhil.emulators.api import flags as f
 from motorhil.emulators.dynamixel.memory import Memory
 from motorhil.emulators.dynamixel.table import (
@@ -50,9 +50,8 @@ class Motion:
         is_on: whether the motor has torque.
     """
 
-    def __init__(self, motor: MotorSettings, memory: Memory, model: Model) -> None:
-        plant = motor.plant
-        self.axis: Final[Axis] = axis_of(motor, motor.oscillator.rate())
+    def __init__(self, axis: Axis, plant: MotorPlant, memory: Memory, model: Model) -> None:
+        self.axis: Final = axis
         self.is_on: bool = False
         self._plant = plant
         self._memory = memory
@@ -154,9 +153,7 @@ class Motion:
     def refresh(self) -> None:
         """Write the present values of the motor to the memory."""
         memory, axis = self._memory, self.axis
-        amps, plant = axis.current_a(), self._plant
-        rad_s = axis.velocity_inc_s() / plant.increments_per_rad()
-        volts = amps * plant.resistance_ohm + rad_s * plant.torque_constant_n_m_a
+        amps, volts, plant = axis.current_a(), axis.winding_v(), self._plant
         unit_a = self._model.current_unit_a or plant.current_max_a / 1000.0
         sign = self._sign()
         memory["moving"] = self.is_moving()

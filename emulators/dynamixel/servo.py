@@ -125,23 +125,20 @@ class Servo(MotorDrive):
         self.memory: Final = Memory(self._model, self._firmware, delivered)
         for name, value in own.registers.items():
             self._require(name, value)
-        self.motion: Final = Motion(motor, self.memory, self._model)
-        super().__init__(self.motion.axis, _FAULTS)
+        super().__init__(motor, _FAULTS)
+        self.motion: Final = Motion(self.axis, motor.plant, self.memory, self._model)
         self.receiver: Final = Receiver()
         self._boot_ns: Final = round(own.boot_up_s * 1e9)
         self._turn_round_ns: Final = round(own.turn_round_s * 1e9)
         self._ready_ns = self._booted_ns = self._heard_ns = 0
-        self._overloaded_ns = NEVER_NS  # when the error comes
         self._voltage, self._temperature = self._model.voltage[1], 30
         self._is_shut_down = False
         self._registered: bytes | None = None
-        self._due_ns, self._answer = NEVER_NS, b""  # the pending status
+        self._answer = b""  # the pending status, until `_send` is due
         self._answers_as = (self.unit, 0)  # its id and the delay of a status
         self._before: int | None = None  # the id whose status ours follows; -1: a broadcast ping
         self._fast: tuple[int, bytearray] | None = None  # bytes before our block, and those heard
         self._gives_up_ns = 0
-        if not motor.oscillator.is_ideal():
-            self.note("info", motor.oscillator.told())
 
     def _require(self, name: str, value: int) -> None:
         items = self.memory.items
@@ -169,23 +166,29 @@ class Servo(MotorDrive):
                 self._follow(heard.unit)
             elif now_ns >= self._ready_ns:
                 self._heard_ns = now_ns
-                self._due_ns, self._before, self._fast = NEVER_NS, None, None
+                self._cancel()
                 self._execute(heard)
 
     def next_deadline_ns(self) -> int | None:
         """Return when `expire` must be called at the latest [ns], or None."""
-        if not self.is_powered:
-            return None
-        due_ns = min(self._due_ns, self._watchdog_ns(), self._overloaded_ns)
-        due_ns = min(due_ns, self.axis.event_ns(due_ns))
-        return None if due_ns >= NEVER_NS else due_ns
+        self.due_ns["watchdog"] = self._watchdog_ns()
+        return super().next_deadline_ns()
 
-    def expire(self, now_ns: int) -> None:
-        """Send what is due, and look at the motor."""
-        self.advance(now_ns)
-        if now_ns >= self._due_ns:
-            self._due_ns, self._before = NEVER_NS, None
-            self.queue(self._answer)
+    def watches(self) -> bool:
+        """Return True: a change of the motor can begin an overload."""
+        return True
+
+    def _send(self) -> None:
+        self._before = None
+        self.queue(self._answer)
+
+    def _send_in(self, wait_ns: int) -> None:
+        self.due_ns[self._send] = self.now_ns + wait_ns
+
+    def _cancel(self) -> None:
+        """Cancel a pending status."""
+        self.wake(self._send, 0)
+        self._before = self._fast = None
 
     def set_input(self, name: str, value: float) -> None:
         """Set input voltage [V] or temperature [degC]."""
@@ -232,16 +235,16 @@ class Servo(MotorDrive):
             memory["profile_velocity"] = memory["profile_acceleration"] = 0
             self.motion.stop()
         if not self.motion.is_on or not self.axis.flags & f.CURRENT_SATURATED:
-            self._overloaded_ns = NEVER_NS
-        elif self._overloaded_ns == NEVER_NS:
-            self._overloaded_ns = now_ns + _OVERLOAD_NS
-        elif now_ns >= self._overloaded_ns:
-            self._overloaded_ns = NEVER_NS
-            self._fail(_OVERLOAD)
+            self.wake(self._be_overloaded, 0)
+        elif self._be_overloaded not in self.due_ns:
+            self.wake(self._be_overloaded, _OVERLOAD_NS)
         if not memory["min_voltage_limit"] <= self._voltage <= memory["max_voltage_limit"]:
             self._fail(_VOLTAGE)
         if self._temperature > memory["temperature_limit"]:
             self._fail(_HEAT)
+
+    def _be_overloaded(self) -> None:
+        self._fail(_OVERLOAD)
 
     def _fail(self, bits: int) -> None:
         """Set bits of the hardware error status; shut down if the register says so."""
@@ -270,8 +273,9 @@ class Servo(MotorDrive):
         self.motion.forget_turns()
         self.motion.limit_current()
         self._is_shut_down = False
-        self._registered, self._due_ns, self._before, self._fast = None, NEVER_NS, None, None
-        self._overloaded_ns = NEVER_NS
+        self._registered = None
+        self.cancel_times()
+        self._cancel()
         self._booted_ns = self._ready_ns = self._heard_ns = now_ns + self._boot_ns
         self._look()
         if self.memory["startup_configuration"] & 1:
@@ -291,7 +295,7 @@ class Servo(MotorDrive):
     def _reply(self, error: Error, data: bytes = b"") -> None:
         unit, delay_ns = self._answers_as  # as before a write that changes them
         self._answer = status(unit, self._error(error), data)
-        self._due_ns = self.now_ns + delay_ns
+        self._send_in(delay_ns)
 
     def _error(self, error: Error) -> int:
         return error | (ALERT if self.memory["hardware_error_status"] else 0)
@@ -301,7 +305,7 @@ class Servo(MotorDrive):
         if self._before == -1:  # broadcast ping: one step for each id in between
             steps = self.memory["id"] - unit - 1
             if steps >= 0:
-                self._due_ns = self.now_ns + self._turn_round_ns + steps * self._ping_step_ns()
+                self._send_in(self._turn_round_ns + steps * self._ping_step_ns())
         elif self._before is not None:
             is_late = self.now_ns > self._gives_up_ns
             self._gives_up_ns = self.now_ns + _PATIENCE_NS
@@ -309,7 +313,7 @@ class Servo(MotorDrive):
                 self._before = None
             elif unit == self._before:
                 self._before = None
-                self._due_ns = self.now_ns + self._delay_ns()
+                self._send_in(self._delay_ns())
 
     def _extend(self, data: bytes, start_ns: int, now_ns: int) -> None:
         """Collect the bytes of a fast read before our block; add ours when they are complete."""
@@ -322,7 +326,7 @@ class Servo(MotorDrive):
             return
         self._fast = None
         self._answer += crc16(bytes(heard[:needed]) + self._answer)
-        self._due_ns = now_ns
+        self._send_in(0)
 
     # --- instructions ----------------------------------------------------------------------------
 
@@ -346,7 +350,7 @@ class Servo(MotorDrive):
             self._reply(Error.NONE, model.to_bytes(2, "little") + bytes((firmware,)))
             if is_broadcast:
                 self._before = -1
-                self._due_ns += max(self.memory["id"] - 1, 0) * self._ping_step_ns()
+                self.due_ns[self._send] += max(self.memory["id"] - 1, 0) * self._ping_step_ns()
         elif heard.instruction == _I.READ:
             if not is_broadcast and level >= 1:
                 self._reply(*self._read(heard.parameters))
@@ -356,8 +360,8 @@ class Servo(MotorDrive):
             if not is_broadcast and level >= 2:
                 self._reply(error)
                 if rebooting and error is Error.NONE:  # the status goes out before the reboot
-                    self.queue(self._answer)
-                    self._due_ns = NEVER_NS
+                    self.wake(self._send, 0)
+                    self._send()
             if follow_up is not None:
                 follow_up()
 
@@ -539,7 +543,8 @@ class Servo(MotorDrive):
             return
         self._reply(Error.NONE if found is not None else Error.ACCESS, found or b"")
         if index:
-            self._before, self._due_ns = places[index - 1][0], NEVER_NS
+            self.wake(self._send, 0)
+            self._before = places[index - 1][0]
 
     def _answer_fast(
         self, places: list[tuple[int, int, int, int]], index: int, found: bytes | None
@@ -553,7 +558,7 @@ class Servo(MotorDrive):
             self._answer = HEADER + bytes((BROADCAST,)) + total.to_bytes(2, "little")
             self._answer += bytes((STATUS,)) + block
             self._answer += crc16(self._answer)
-            self._due_ns = self.now_ns + self._delay_ns()
+            self._send_in(self._delay_ns())
             return
         self._answer = block
         self._fast = 8 + sum(4 + place[2] for place in places[:index]), bytearray()

@@ -238,6 +238,16 @@ class Axis:
         """Return motor torque times gear ratio, without subtracting friction and inertia [N m]."""
         return self._time.state[servo.I_CURRENT] * self._torque_n_m_a
 
+    def winding_v(self) -> float:
+        """Return the voltage at the winding for the present velocity and current [V]."""
+        plant = self._plant
+        speed_rad_s = self.velocity_inc_s() / plant.increments_per_rad()
+        return speed_rad_s * plant.torque_constant_n_m_a + self.current_a() * plant.resistance_ohm
+
+    def has_extras(self) -> bool:
+        """Return whether the plant is not linear or has limits; see `Extras`."""
+        return self._has_extras
+
     def output_position_rad(self) -> float:
         """Return the true output position, not quantised, independent of `set_position` [rad]."""
         if self._has_extras:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from struct import Struct
 from typing import Final, final
 
-from motorhil.emulators.api import ControllerContext, drive_builder
+from motorhil.emulators.api import ControllerContext, drive_builder, truncated
 from motorhil.emulators.mit.drive import MitDrive, to_code
 from motorhil.emulators.mit.settings import DAMIAO, MINI_CHEETAH, MODELS, MitTable, Ranges
 
@@ -90,7 +90,7 @@ class ClassicalDrive(MitDrive):
     def _answer(self) -> None:
         saturates = self.firmware is not MINI_CHEETAH
         p_code, v_code, t_code = self.measured_codes(12, saturates=saturates)
-        stage_c, winding_c = (min(max(int(c), 0), 0xFF) for c in self.temperatures_c())
+        stage_c, winding_c = (truncated(c, 8, signed=False) for c in self.temperatures_c())
         number, tail = self.node_id, (stage_c, self.fault)
         if self.firmware is DAMIAO:
             number = (self.fault or self.is_on) << 4 | number & 0xF

@@ -11,25 +11,13 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from motorhil.emulators.api import (
-    EFF_FLAG,
-    ERR_FLAG,
-    RTR_FLAG,
-    ControllerContext,
-    MotorDrive,
-    axis_of,
-    can_id_of,
-    data_of,
-    ns,
-    pack,
-)
+from motorhil.emulators.api import CanMotorDrive, ControllerContext, ns, truncated
 from motorhil.emulators.mit.settings import Firmware, Ranges, RangesTable
 
 OVER_VOLTAGE: Final = 1.25  # of the supply's own voltage
 UNDER_VOLTAGE: Final = 0.7
 OVER_TEMPERATURE_C: Final = 125.0
 LIMP: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
-_BOOT, _COMMAND = "boot", "command"  # times
 
 
 def to_code(value: float, limit: float, bits: int, low: float | None = None) -> int:
@@ -44,7 +32,7 @@ def of_code(code: int, limit: float, bits: int, low: float | None = None) -> flo
     return code * (limit - least) / ((1 << bits) - 1) + least
 
 
-class MitDrive(MotorDrive):
+class MitDrive(CanMotorDrive):
     """A drive without its frames; derived classes implement `motorhil.emulators.api.Controller`.
 
     Attributes:
@@ -52,13 +40,11 @@ class MitDrive(MotorDrive):
         fault: the code of the fault; 0: none.
     """
 
-    flag = 0  # of its identifiers
-
     def __init__(
         self, table: RangesTable, model: tuple[Firmware, Ranges], context: ControllerContext
     ) -> None:
         motor = table.motor(context.stream())
-        super().__init__(axis_of(motor, motor.oscillator.rate()), model[0].codes)
+        super().__init__(motor, model[0].codes, model[0].faults)
         self.plant: Final = motor.plant
         plant = motor.plant
         self.firmware: Final = model[0]
@@ -77,7 +63,6 @@ class MitDrive(MotorDrive):
         self.inc_rad: Final = plant.gear_ratio * plant.increments_per_rad()
         self._n_m_a: Final = plant.gear_ratio * plant.torque_constant_n_m_a
         self._turn_inc: Final = plant.encoder_increments_rev
-        self._has_extras: Final = plant.extras.is_any()
         self._command = self._applied = LIMP
         self._zero_count = 0
         self._was_left = False  # since the fault
@@ -85,10 +70,6 @@ class MitDrive(MotorDrive):
         self._deaf_ns = 0
 
     # --- of derived classes ------------------------------------------------------------------
-
-    @abstractmethod
-    def hear(self, can_id: int, data: bytes) -> None:
-        """Handle a data frame with one of the identifiers."""
 
     @abstractmethod
     def identifiers(self) -> Sequence[int] | None:
@@ -102,31 +83,15 @@ class MitDrive(MotorDrive):
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
-        self.due_ns[_BOOT] = now_ns + self._boot_up_ns
+        self.due_ns[self._come_up] = now_ns + self._boot_up_ns
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Handle a frame from the bus; remote frames are not for this drive."""
-        can_id = can_id_of(data)
-        if can_id & (EFF_FLAG | ERR_FLAG | RTR_FLAG) != self.flag or now_ns < self._deaf_ns:
-            return
-        if self.is_powered and _BOOT not in self.due_ns:
-            self.advance(now_ns)
-            self.hear(can_id & ~self.flag, data_of(data))
+    def hears(self, now_ns: int) -> bool:
+        """Return whether it has booted, and is not setting its zero."""
+        return self._come_up not in self.due_ns and now_ns >= self._deaf_ns
 
     def watches(self) -> bool:
         """Return whether the plant can cause a fault now."""
-        return self.is_on and self._has_extras
-
-    def expire(self, now_ns: int) -> None:
-        """Boot, notice missing commands and faults of the plant."""
-        self.now_ns = now_ns
-        if self.is_due(_BOOT):
-            self._come_up(now_ns)
-        self.advance(now_ns)
-        if self.is_due(_COMMAND):
-            self.warn(f"no command for {self.watchdog_ns / 1e9:g} s")
-            self.timed_out()
-            self.wake(_COMMAND, 0)
+        return self.is_on and self.axis.has_extras()
 
     def inject(self, fault: int) -> None:
         """Cause a fault."""
@@ -173,12 +138,12 @@ class MitDrive(MotorDrive):
 
     def clear(self) -> bool:
         """Clear the fault if its cause is gone; return True if there is none any more."""
-        cause = self._cause()
-        if cause:
-            self.warn(f"fault {cause} remains: its cause is still there")
+        causes = self.causes()
+        if causes:
+            self.warn(f"fault {causes[0]} remains: its cause is still there")
         else:
             self.fault = 0
-        return not cause
+        return not causes
 
     def fail(self, code: int) -> None:
         """Take the motor's current because of a fault."""
@@ -219,8 +184,7 @@ class MitDrive(MotorDrive):
         codes = [to_code(*one) for one in of_each]
         if not saturates:
             return codes
-        tops = ((1 << size) - 1 for size in sizes)
-        return [min(max(code, 0), top) for code, top in zip(codes, tops, strict=True)]
+        return [truncated(*one, signed=False) for one in zip(codes, sizes, strict=True)]
 
     def order_codes(self, codes: Sequence[int], bits: int) -> None:
         """Obey the codes of p, v, kp, kd, t: position has 16 bits, the others so many."""
@@ -233,27 +197,22 @@ class MitDrive(MotorDrive):
         """Return the temperatures of power stage (as the housing) and winding [degC]."""
         return self.axis.housing_temperature_c(), self.axis.winding_temperature_c()
 
-    def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame."""
-        self.queue(pack(can_id | self.flag, data))
-
     # --- helpers -----------------------------------------------------------------------------
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time; notice faults of the plant."""
         super().advance(now_ns)
-        cause = self._cause() if self.is_on else 0
-        if cause:
-            self.fail(cause)
+        if self.is_on:
+            for cause in self.causes()[:1]:
+                self.fail(cause)
 
-    def _cause(self) -> int:
-        """Return the code of a fault that the plant causes now, or 0."""
-        active = self.axis.flags
-        return next((code for flag, code in self.firmware.faults.items() if active & flag), 0)
+    def _miss(self) -> None:
+        self.warn(f"no command for {self.watchdog_ns / 1e9:g} s")
+        self.timed_out()
+        self.wake(self._miss, 0)
 
-    def _come_up(self, now_ns: int) -> None:
+    def _come_up(self) -> None:
         axis = self.axis
-        axis.at(now_ns)
         self._command = LIMP
         if self._was_up:  # turns are lost
             zero = self._zero_count if self.firmware.keeps_zero else 0
@@ -268,9 +227,9 @@ class MitDrive(MotorDrive):
         self.axis.follow_impedance(p * inc_rad, v * inc_rad, kp * gain, kd * gain, t / self._n_m_a)
 
     def _feed(self) -> None:
-        self.wake(_COMMAND, self.watchdog_ns if self.is_on else 0)
+        self.wake(self._miss, self.watchdog_ns if self.is_on else 0)
 
     def _off(self) -> None:
         self.is_on = False
-        self.wake(_COMMAND, 0)
+        self.wake(self._miss, 0)
         self.axis.power(False)

@@ -12,7 +12,7 @@ Source: robstride 0.1.0 (client.py); maker's manual as told by public drivers.
 from collections.abc import Sequence
 from math import isfinite
 from struct import Struct
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.emulators.api import EFF_FLAG, ControllerContext, drive_builder
 from motorhil.emulators.mit.drive import MitDrive
@@ -35,7 +35,7 @@ _SERIAL: Final = b"motorhil"
 class RobstrideDrive(MitDrive):
     """Implements `motorhil.emulators.api.Controller`."""
 
-    flag = EFF_FLAG
+    FLAG: ClassVar[int] = EFF_FLAG
 
     def __init__(self, table: RobstrideTable, context: ControllerContext) -> None:
         super().__init__(table, ROBSTRIDES[table.model], context)

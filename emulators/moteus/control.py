@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import copysign, inf, isfinite, pi, sqrt
 from typing import Final, final
 
-from motorhil.emulators.api import MotorSettings, axis_of, flags
+from motorhil.emulators.api import Axis, MotorSettings, flags
 
 Pieces = Sequence[tuple[float, float, float]]
 """(duration [s], velocity at its begin [rev/s], acceleration [rev/s²]), in their order."""
@@ -100,15 +100,15 @@ class Servo:
     """The motor with its current, as position mode and the others drive it.
 
     Args:
-        motor: the motor of the rig.
+        axis, motor: the motor of the rig.
         ratio: turns of the output per turn of the motor (`rotor_to_output_ratio`).
         gains: kp [N·m/rev] and kd [N·m/(rev/s)]; None: those of the rig's servo.
     """
 
     def __init__(
-        self, motor: MotorSettings, ratio: float, gains: tuple[float, float] | None
+        self, axis: Axis, motor: MotorSettings, ratio: float, gains: tuple[float, float] | None
     ) -> None:
-        self.axis: Final = axis_of(motor, motor.oscillator.rate())
+        self.axis: Final = axis
         self.tick_ns: Final = motor.tick_ns
         self._turn: Final = motor.plant.encoder_increments_rev
         self.inc: Final = self._turn / ratio  # per turn of the output
@@ -116,7 +116,6 @@ class Servo:
         self.speed_max: Final = (
             motor.plant.supply_v / motor.plant.torque_constant_n_m_a / (2 * pi) * ratio
         )
-        self.resistance_ohm: Final = motor.plant.resistance_ohm
         own = replace(motor.gains, velocity_feedforward=0.0, acceleration_feedforward_a_s2_inc=0.0)
         if gains is not None:
             kp, kd = gains
@@ -145,8 +144,7 @@ class Servo:
 
     def power_w(self) -> float:
         """Return the electrical power into the motor [W]."""
-        amps = self.axis.current_a()
-        return amps * amps * self.resistance_ohm + self.torque() * self.velocity() * 2 * pi
+        return self.axis.current_a() * self.axis.winding_v()
 
     def is_saturated(self) -> bool:
         """Return whether the current is at its limit."""

@@ -141,9 +141,8 @@ class MoteusController(MotorDrive):
         motor = table.motor(context.stream())
         ratio = table.rotor_to_output_ratio
         gains = None if table.kp_n_m_rev is None else (table.kp_n_m_rev, table.kd_n_m_s_rev)
-        self._servo = Servo(motor, ratio, gains)
-        super().__init__(self._servo.axis, range(1, 96))
-        self._has_extras: Final = motor.plant.extras.is_any()
+        super().__init__(motor, range(1, 96), {flags.OVER_VOLTAGE: 34, flags.UNDER_VOLTAGE: 40})
+        self._servo = Servo(self.axis, motor, ratio, gains)
         pwm_hz, self._volts, self._amps, self._hot_c = _FAMILIES[table.family]
         cycle_ns = 1_000_000_000 // min(pwm_hz, _CYCLES_S_MAX)
         self._calibration_ns = _CALIBRATION_CYCLES * cycle_ns
@@ -182,10 +181,10 @@ class MoteusController(MotorDrive):
 
     def watches(self) -> bool:
         """Return whether the plant can cause a fault now."""
-        return self.mode > FAULT and self._has_extras
+        return self.mode > FAULT and self.axis.has_extras()
 
     def expire(self, now_ns: int) -> None:
-        """Do what is due."""
+        """Do what is due, of which `advance` knows all."""
         self.advance(now_ns)
 
     def advance(self, now_ns: int) -> None:
@@ -215,11 +214,9 @@ class MoteusController(MotorDrive):
         """Raise the faults whose conditions are met."""
         if self.mode <= FAULT:
             return
-        active = self.axis.flags
-        if active & flags.OVER_VOLTAGE:
-            self._fail(34)
-        elif active & flags.UNDER_VOLTAGE:
-            self._fail(40)
+        causes = self.causes()
+        if causes:
+            self._fail(causes[0])
         elif self._board_c > self._hot_c:
             self._fail(38)
         elif self.mode == POSITION:

@@ -22,19 +22,16 @@ from typing import Any, Final, final
 
 from motorhil.emulators.api import (
     REQUIRED,
+    CanMotorDrive,
     ControllerContext,
-    MotorDrive,
     MotorTable,
     amount,
-    axis_of,
-    can_id_of,
-    data_of,
     drive_builder,
     flags,
     ns,
-    pack,
     positive,
     text,
+    truncated,
     whole,
 )
 
@@ -57,7 +54,6 @@ _UNTIL_RESTART: Final = 0x0002 | 0x0010 | 0x0080
 _GAINS: Final = (1, 2, 4, 5, 7, 8, 9)
 _REPLIES: Final = (0x60, 0x61, 0x62, 0x92, 0x9A, 0x9C, 0x9D)
 _PULSES: Final = 16384  # of the encoder per turn of the motor
-_READY, _SILENT, _CLEAR, _REPORT = "ready", "silent", "clear", "report"  # times
 NONE, CURRENT, SPEED, POSITION = range(4)
 
 
@@ -105,18 +101,16 @@ class _Rom:
 
 
 @final
-class RmdController(MotorDrive):
+class RmdController(CanMotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
     def __init__(self, settings: RmdTable, context: ControllerContext) -> None:
         motor = settings.motor(context.stream())
         plant = motor.plant
         self._settings = settings
-        self._plant = plant
-        super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, 0x4000))
+        super().__init__(motor, range(1, 0x4000), _CAUSES)
         self._inc_deg: Final = plant.encoder_increments_rev * plant.gear_ratio / 360.0
         self._pulses: Final = _PULSES / plant.encoder_increments_rev
-        self._watches: Final[bool] = plant.extras.is_any()
         self.axis.set_windows(
             following_window_inc=round(settings.stall_deg * self._inc_deg), following_window_ns=0
         )
@@ -143,7 +137,7 @@ class RmdController(MotorDrive):
         """Begin anew, with power or by a reset."""
         self._off()
         self.cancel_times()
-        self.due_ns[_READY] = now_ns + ns(self._settings.restart_s)
+        self.due_ns[self._hear] = now_ns + ns(self._settings.restart_s)
         self._start_ns = now_ns
         self._errors = 0
         self._is_silenced = self._swallows = self._reports = self._brake_is_open = False
@@ -158,33 +152,33 @@ class RmdController(MotorDrive):
 
     def watches(self) -> bool:
         """Return True in a mode, or if the plant has limits."""
-        return self._watches or bool(self._mode)
+        return bool(self._mode) or self.axis.has_extras()
 
     def expire(self, now_ns: int) -> None:
         """Do everything that is due at `now_ns`."""
-        if not self.is_powered:
-            return
-        self.advance(now_ns)
-        if self.is_due(_READY):
-            self._hear()
-        if self.is_due(_SILENT):
-            if not self._is_silenced:
-                self.warn("communication interrupted: the output is off")
-            self._is_silenced = self._swallows = True
-            self.wake(_SILENT, _SECOND_NS)
-            self._off()
-            self.queue(pack(_ANSWER + self._node, b"\xf1" + bytes(7)))
-        if self.is_due(_CLEAR):
-            self._errors &= _UNTIL_RESTART
-            self._check_causes()
-        if self.is_due(_REPORT) and self._errors:
-            self.wake(_REPORT, _ERROR_NS)
-            self._answer(self.status_1(b"\x9a"))
+        super().expire(now_ns)
         for command, period_ns in self._active.items():
             if self.is_due(command):
                 self.wake(command, period_ns)
                 self._answer(self._read(bytes((command,)) + bytes(7)))
-        self.queue_due()
+
+    def _fall_silent(self) -> None:
+        """Switch the output off, as no request has come within the interruption time."""
+        if not self._is_silenced:
+            self.warn("communication interrupted: the output is off")
+        self._is_silenced = self._swallows = True
+        self.wake(self._fall_silent, _SECOND_NS)
+        self._off()
+        self.send(_ANSWER + self._node, b"\xf1" + bytes(7))
+
+    def _clear(self) -> None:
+        self._errors &= _UNTIL_RESTART
+        self._check_causes()
+
+    def _report(self) -> None:
+        if self._errors:
+            self.wake(self._report, _ERROR_NS)
+            self._answer(self.status_1(b"\x9a"))
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time."""
@@ -192,20 +186,19 @@ class RmdController(MotorDrive):
         self._check_causes()
 
     def _check_causes(self) -> None:
-        seen = self.axis.flags
-        for flag, error in _CAUSES.items():
-            if seen & flag and (error != _STALL or self._mode):
+        for error in self.causes():
+            if error != _STALL or self._mode:
                 self._fail(error)
 
     def _fail(self, error: int, duration_ns: int = _ERROR_NS) -> None:
         if not self._errors & error:
             self.note("error", f"fault {error:04X}h")
             if self._reports:
-                self.wake(_REPORT, _ERROR_NS)
+                self.wake(self._report, _ERROR_NS)
         self._errors |= error
         self._off()
         if error & ~_UNTIL_RESTART:
-            self.wake(_CLEAR, duration_ns)
+            self.wake(self._clear, duration_ns)
 
     def _off(self) -> None:
         self._mode = NONE
@@ -213,15 +206,15 @@ class RmdController(MotorDrive):
 
     # --- frames
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Handle a frame from the bus."""
-        can_id, request = can_id_of(data), data_of(data)
-        is_all = can_id in (_ALL, _SETTING)
-        if not self.is_powered or _READY in self.due_ns:
-            return
+    def hears(self, now_ns: int) -> bool:
+        """Return whether it has restarted."""
+        return self._hear not in self.due_ns
+
+    def hear(self, can_id: int, data: bytes) -> None:
+        """Handle a request."""
+        request, is_all = data, can_id in (_ALL, _SETTING)
         if can_id != _REQUEST + self._node and not (is_all and not self._rom.is_filtered):
             return
-        self.advance(now_ns)
         self._hear()
         if len(request) != 8:
             self.warn(
@@ -248,11 +241,11 @@ class RmdController(MotorDrive):
     def _hear(self) -> None:
         """Begin the interruption time anew."""
         self._is_silenced = False
-        self.wake(_SILENT, self._rom.interruption_ms * 1_000_000)
+        self.wake(self._fall_silent, self._rom.interruption_ms * 1_000_000)
 
     def _answer(self, data: bytes, can_id: int | None = None) -> None:
-        frame = pack(_ANSWER + self._node if can_id is None else can_id, data)
-        self.queue_at(frame, self.now_ns + ns(self._settings.answer_s))
+        can_id = _ANSWER + self._node if can_id is None else can_id
+        self.send(can_id, data, ns(self._settings.answer_s))
 
     def _set_id(self, request: bytes) -> None:
         if request[0] != 0x79:
@@ -275,7 +268,7 @@ class RmdController(MotorDrive):
         return int(inc * 100.0 / self._inc_deg // 1)
 
     def _temperature(self) -> int:
-        return max(-128, min(127, int(self.axis.winding_temperature_c())))
+        return truncated(self.axis.winding_temperature_c(), 8)
 
     def status_1(self, request: bytes) -> bytes:
         """Answer with temperature, voltage and errors (9Ah)."""
@@ -288,13 +281,13 @@ class RmdController(MotorDrive):
         """Answer with temperature, current, speed and angle (9Ch)."""
         speed = self.axis.velocity_inc_s() / self._inc_deg
         amps = self.axis.current_a() * 100
-        values = (_short(value) for value in (amps, speed, self._centidegrees() / 100))
+        values = (truncated(one, 16) for one in (amps, speed, self._centidegrees() / 100))
         return _MOTION.pack(request[0], self._temperature(), *values)
 
     def status_3(self, request: bytes) -> bytes:
         """Answer with temperature and phase currents (9Dh)."""
         amps = self.axis.current_a() * 100
-        phases = (_short(share * amps) for share in (1.0, -0.5, -0.5))
+        phases = (truncated(share * amps, 16) for share in (1.0, -0.5, -0.5))
         return _MOTION.pack(request[0], self._temperature(), *phases)
 
     def encoder(self, request: bytes) -> bytes:
@@ -456,7 +449,7 @@ class RmdController(MotorDrive):
             self._write(is_filtered=bool(value))
         elif index == 3:
             self._reports = bool(value)
-            self.wake(_REPORT, _ERROR_NS if value and self._errors else 0)
+            self.wake(self._report, _ERROR_NS if value and self._errors else 0)
         elif index == 4:
             self._write(keeps_turns=bool(value))
         elif index == 5 and 1 <= value <= 32:
@@ -514,15 +507,8 @@ class RmdController(MotorDrive):
 
     def power(self, request: bytes) -> bytes:
         """Answer with the electrical power (71h)."""
-        speed_rad_s = self.axis.velocity_inc_s() / self._plant.increments_per_rad()
-        amps, back = self.axis.current_a(), self._plant.torque_constant_n_m_a * speed_rad_s
-        watts = abs(amps * (back + amps * self._plant.resistance_ohm))
-        return request[:6] + min(0xFFFF, int(watts * 10)).to_bytes(2, "little")
-
-
-def _short(value: float) -> int:
-    """Return a whole number that fits 16 bits, truncated toward zero."""
-    return int(max(-32768.0, min(32767.0, value)))
+        watts = abs(self.axis.current_a() * self.axis.winding_v())
+        return request[:6] + truncated(watts * 10, 16, signed=False).to_bytes(2, "little")
 
 
 _READS: Final = (

@@ -27,18 +27,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from struct import Struct
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 from motorhil.emulators.api import (
     EFF_FLAG,
     REQUIRED,
+    CanMotorDrive,
     ControllerContext,
-    MotorDrive,
     MotorTable,
     amount,
-    axis_of,
-    can_id_of,
-    data_of,
     drive_builder,
     flags,
     ns,
@@ -47,7 +44,6 @@ from motorhil.emulators.api import (
     text,
     whole,
 )
-from motorhil.emulators.api import pack as frame
 from motorhil.emulators.vesc.packets import (
     FILL,
     FILL_LONG,
@@ -71,8 +67,6 @@ _CURRENT_A: Final = (0.01, 1000.0)
 _TIME_S: Final = (0.01, 60.0)
 _VOLTAGE_V: Final = (1.0, 1000.0)
 _STATUS: Final = (9, 14, 15, 16, 27, 58)
-_BOOT, _TIMEOUT, _DEAF, _SPEED = "boot", "timeout", "deaf", "speed"  # times
-_STATUS_SETS: Final = ("status 1", "status 2")
 
 
 @final
@@ -153,14 +147,16 @@ class Mode(IntEnum):
 
 
 @final
-class VescController(MotorDrive):
+class VescController(CanMotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
+
+    FLAG: ClassVar[int] = EFF_FLAG
 
     def __init__(self, settings: VescTable, context: ControllerContext) -> None:
         motor = settings.motor(context.stream())
         self._settings = settings
         self._plant = motor.plant
-        super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, _FAULT_MAX + 1))
+        super().__init__(motor, range(1, _FAULT_MAX + 1), _FAULTS)
         self._inc: Final = motor.plant.encoder_increments_rev
         self._inc_s: Final = self._inc / (60.0 * settings.pole_pairs)  # per ERPM
         self._gains: Final = motor.gains
@@ -190,7 +186,6 @@ class VescController(MotorDrive):
             under_voltage_v=settings.voltage_min_v,
             over_temperature_c=settings.temperature_max_c,
         )
-        self._watches: Final[bool] = motor.plant.extras.is_any()
         self._packets = Reassembly()
         self._mode = Mode.OFF
         self._timed_out = False
@@ -210,39 +205,40 @@ class VescController(MotorDrive):
         self._travelled = self._fault = 0
         self._timed_out = False
         self._angle_offset = 0.0
-        self.wake(_BOOT, 500_000_000)
-        self.due_ns.update(dict.fromkeys(_STATUS_SETS, now_ns))
+        self.wake(self._notify_boot, 500_000_000)
+        self.due_ns.update({self._tell_1: now_ns, self._tell_2: now_ns})
         self._feed()
 
     def watches(self) -> bool:
         """Return whether the plant has limits."""
-        return self._watches
+        return self.axis.has_extras()
 
-    def expire(self, now_ns: int) -> None:
-        """Do everything that is due at `now_ns`."""
-        if not self.is_powered:
-            return
-        self.advance(now_ns)
-        if self.is_due(_DEAF):
-            self._fault = 0
-            self._check_cause()
-            if self._timed_out:
-                self.brake(self._settings.timeout_brake_a)
-        if self.is_due(_TIMEOUT):
-            self._timed_out = True
-            self._release()
-            if _DEAF not in self.due_ns:
-                self.brake(self._settings.timeout_brake_a)
-        if self.is_due(_SPEED):
-            self._follow_speed()
-        if self.is_due(_BOOT):
-            self._send(57, self._settings.node_id, self._settings.hardware.encode()[:8])
-        s = self._settings
-        sets = ((s.status_1, s.status_rate_1_hz), (s.status_2, s.status_rate_2_hz))
-        for name, (mask, rate) in zip(_STATUS_SETS, sets, strict=True):
-            if self.is_due(name) and mask and rate:
-                self.due_ns[name] = now_ns + 10_000 // rate * _TICK_NS
-                self._send_status(mask)
+    def _hear_again(self) -> None:
+        """End the time in which commands are dropped; begin it anew while a cause lasts."""
+        self._fault = 0
+        self._check_cause()
+        if self._timed_out:
+            self.brake(self._settings.timeout_brake_a)
+
+    def _time_out(self) -> None:
+        self._timed_out = True
+        self._release()
+        if self._hear_again not in self.due_ns:
+            self.brake(self._settings.timeout_brake_a)
+
+    def _notify_boot(self) -> None:
+        self._send(57, self._settings.node_id, self._settings.hardware.encode()[:8])
+
+    def _tell_1(self) -> None:
+        self._tell(self._tell_1, self._settings.status_1, self._settings.status_rate_1_hz)
+
+    def _tell_2(self) -> None:
+        self._tell(self._tell_2, self._settings.status_2, self._settings.status_rate_2_hz)
+
+    def _tell(self, again: Callable[[], None], mask: int, rate_hz: int) -> None:
+        if mask and rate_hz:
+            self.wake(again, 10_000 // rate_hz * _TICK_NS)
+            self._send_status(mask)
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time."""
@@ -254,17 +250,15 @@ class VescController(MotorDrive):
 
     def _check_cause(self) -> None:
         """Begin a fault, or begin its time anew, while its cause lasts."""
-        if self._watches:
-            for flag, fault in _FAULTS.items():
-                if self.axis.flags & flag:
-                    self._fail(fault)
+        for fault in self.causes():
+            self._fail(fault)
 
     def _feed(self) -> None:
         self._timed_out = False
         timeout_ns = ns(self._settings.timeout_s)
         since_ns = self.now_ns + timeout_ns - self._start_ns
         due_ns = self._start_ns + (since_ns // _CHECK_NS + 1) * _CHECK_NS
-        self.wake(_TIMEOUT, due_ns - self.now_ns if timeout_ns else 0)
+        self.wake(self._time_out, due_ns - self.now_ns if timeout_ns else 0)
 
     def _fail(self, fault: int) -> None:
         if fault != self._fault:
@@ -274,7 +268,7 @@ class VescController(MotorDrive):
 
     def _be_deaf(self, duration_ns: int) -> None:
         self._release()
-        self.due_ns[_DEAF] = self.now_ns + duration_ns
+        self.due_ns[self._hear_again] = self.now_ns + duration_ns
 
     # --- measurements
 
@@ -284,9 +278,7 @@ class VescController(MotorDrive):
     def _duty_now(self) -> float:
         if self._mode is Mode.OFF:
             return 0.0
-        speed_rad_s = self.axis.velocity_inc_s() / self._plant.increments_per_rad()
-        back_v = speed_rad_s * self._plant.torque_constant_n_m_a
-        return (back_v + self.axis.current_a() * self._plant.resistance_ohm) / self._volts()
+        return self.axis.winding_v() / self._volts()
 
     def _volts(self) -> float:
         return max(self.axis.dc_link_v(), 1e-3)
@@ -333,22 +325,15 @@ class VescController(MotorDrive):
                 self._send(command, self._settings.node_id, status[i])
 
     def _send(self, command: int, number: int, data: bytes) -> None:
-        self.queue(frame(EFF_FLAG | command << 8 | number, data))
+        self.send(command << 8 | number, data)
 
     # --- frames to the drive
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Handle a frame from the bus; missing bytes count as 0."""
-        if not self.is_powered:
+    def hear(self, can_id: int, data: bytes) -> None:
+        """Handle a frame to this drive; missing bytes count as 0."""
+        command, payload = can_id >> 8, data
+        if command > 0xFF or can_id & 0xFF not in (self._settings.node_id, _EVERYBODY):
             return
-        can_id, payload = can_id_of(data), data_of(data)
-        if can_id & ~0xFFFF != EFF_FLAG or can_id & 0xFF not in (
-            self._settings.node_id,
-            _EVERYBODY,
-        ):
-            return
-        self.advance(now_ns)
-        command = can_id >> 8 & 0xFF
         needed = _NEEDED.get(command, 0)
         if len(payload) < needed:
             self.warn(f"command {command} has {len(payload)} of {needed} bytes; 0 for the rest")
@@ -437,7 +422,7 @@ class VescController(MotorDrive):
 
     def _command(self, mode: "_Mode", scale: float, raw: int) -> None:
         self._feed()
-        if _DEAF not in self.due_ns:
+        if self._hear_again not in self.due_ns:
             mode(self, raw / scale)
 
     def _release(self) -> None:
@@ -452,7 +437,7 @@ class VescController(MotorDrive):
             self.axis.apply_current(0.0, _AT_ONCE)  # so that ramps start at the present speed
         if is_new:
             self._mode = mode
-            self.wake(_SPEED, 0)
+            self.wake(self._follow_speed, 0)
             own = {Mode.DUTY: self._duty_gains, Mode.POSITION: self._position_gains}
             self.axis.set_gains(own.get(mode, self._gains))
             self._limit(self._limits_a[1])
@@ -559,7 +544,9 @@ class VescController(MotorDrive):
             if abs(target) < low or target * now < 0.0:
                 until = abs(now) - low
         tick_ns = 1 + int(self._settings.servo.tick_ns())
-        self.wake(_SPEED, 0 if until is None else max(tick_ns, int(until / ramp * 1e9) + 1))
+        self.wake(
+            self._follow_speed, 0 if until is None else max(tick_ns, int(until / ramp * 1e9) + 1)
+        )
 
     # --- physical inputs, and the rest of the interface
 
@@ -591,7 +578,7 @@ class VescController(MotorDrive):
 
 def _cut(size: int, value: float) -> bytes:
     """Return a number in big endian, truncated toward zero and limited to its size."""
-    most = 1 << 8 * size - 1
+    most = 1 << 8 * size - 1  # as `truncated`, without a call: 20 fields each time
     return int(max(-most, min(most - 1, value))).to_bytes(size, "big", signed=True)
 
 

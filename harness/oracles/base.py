@@ -358,6 +358,17 @@ class Oracle:
     def drive(self, time_ns: int, node: tuple[str, int], told: Told, sender: str) -> None:
         """Handle a message to or from a drive (bus, node) with a protocol of its own."""
 
+    def answer(
+        self, time_ns: int, node: tuple[str, int], told: Told, was_asked: bool | None
+    ) -> None:
+        """Handle an answer of such a drive, before `drive`.
+
+        `was_asked` is None while none of the drive's answers had a request in the recording.
+        """
+
+    def unanswered(self, asked_ns: int, node: tuple[str, int], what: str) -> None:
+        """Handle a request to such a drive that had no answer in time."""
+
     def sender(self, time_ns: int, bus: str, identifier: int, before: str, now: str) -> None:
         """Handle a change of an identifier's sender."""
 

@@ -224,6 +224,8 @@ class Pass:
         self, trace: Trace | None, from_ns: int | None, to_ns: int | None
     ) -> list[Finding]:
         """Return the findings of all oracles."""
+        for drives in self._drives.values():
+            drives.end(self._last_ns)
         for oracle in self._oracles:
             oracle.end(self._last_ns)
         found = [oracle.finding() for oracle in self._judges]

@@ -251,6 +251,7 @@ class EmulatedBus(can.BusABC):
             except ValueError as error:  # the bus is full
                 raise CanInitializationError(str(error)) from None
             self._limit = SendLimit(self._port, self.channel)
+            self._note_use()
         elif "/" in self.channel:
             _refuse_in_virtual_time(self.channel)
             self._hub = HubLink(self.channel, fd)
@@ -277,7 +278,15 @@ class EmulatedBus(can.BusABC):
             self._queue.keeps = False
             self._queue.backlog.clear()
         queue = self._queue
-        return _Subscription(queue.fd_listeners if fd else queue.listeners, on_frame)
+        made = _Subscription(queue.fd_listeners if fd else queue.listeners, on_frame)
+        self._note_use()
+        return made
+
+    def _note_use(self) -> None:
+        note = getattr(self._port, "note_use", None)  # of a rig in another process
+        if note is not None:
+            calls = bool(self._queue.listeners or self._queue.fd_listeners)
+            note(keeps=not calls, own=calls or self._own)
 
     @property
     def hub_bus(self) -> tuple[str, str] | None:

@@ -1,6 +1,7 @@
 """Participant: a program of another process, on the rig's side of its connection."""
 
 import socket
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, final
@@ -9,7 +10,13 @@ from motorhil.emulators.can.frame import FD_FRAME_BYTES, FRAME_BYTES, as_driven
 from motorhil.emulators.simulation.ownership_notice import unpack_owns
 from motorhil.harness.python_can.send_limit import SendLimit
 from motorhil.harness.shared_time import records
-from motorhil.harness.shared_time.records import LengthError, RecordError, Result, WaitFlags
+from motorhil.harness.shared_time.records import (
+    LengthError,
+    PortFlags,
+    RecordError,
+    Result,
+    WaitFlags,
+)
 from motorhil.harness.virtual_time.runtime import END_NS, VirtualParty, VirtualRuntime, Waiter
 from motorhil.motorapi.errors import UsageError
 
@@ -25,6 +32,14 @@ _PORTS_MAX: Final = 256  # open at one time
 _PORT_NUMBERS: Final = 1 << 16
 _PERIODS_MAX: Final = 4096
 _PARTIES_MAX: Final = 1024
+# Plain integers, since the arithmetic of flags is slow.
+_PARTIES: Final = int(WaitFlags.PARTIES)
+_PROCESSES: Final = int(WaitFlags.PROCESSES)
+_DEAF: Final = int(WaitFlags.DEAF)
+_QUIET: Final = int(PortFlags.QUIET)
+_OTHERS: Final = int(PortFlags.OTHERS)
+_TAKEN: Final = bytes([records.TAKEN])
+_PENDING_MAX: Final = 16_384  # bytes of frames that a quiet program has not been told
 
 
 class Seat(Protocol):
@@ -42,13 +57,16 @@ class Seat(Protocol):
         """The rig's time."""
 
     def receive(self, participant: "Participant", is_first: bool) -> bytes:
-        """Return the next record of the program, the first of its turn; b"" if it has gone."""
+        """Return the program's next message, the first of its turn; b"" if it has gone."""
 
     def repeatable(self, bus: str, notice: "OwnershipNotice", name: str) -> "OwnershipNotice":
         """Return the notice of a program without what differs in each run."""
 
     def admit(self, parent: "Participant", pid: int, name: str) -> str:
         """Wait until a child process has joined; return "", or why it has not."""
+
+    def end_turn(self) -> None:
+        """Take what programs have printed, before another one prints."""
 
     def departed(self, participant: "Participant", reason: str) -> None:
         """Tell that the program has gone; `reason` is "" if it has left by itself."""
@@ -70,6 +88,9 @@ class Participant:
         self.is_gone: bool = False
         self._seat: Final[Seat] = seat
         self._has_turn = False
+        self._is_served = False  # it acts, and would not look at a call
+        self._has_taken = False
+        self._is_urgent = False
         self._ready = records.NO_WAIT
         self._next_port = 0
         self._checked = 0
@@ -78,7 +99,10 @@ class Participant:
         self._ports: Final[dict[int, tuple[str, HostPort | LineHost]]] = {}
         self._limits: Final[dict[int, SendLimit]] = {}
         self._periods: Final[dict[int, Registration]] = {}
-        self._postponed: Final[list[bytes]] = []
+        self._flags: Final[dict[int, int]] = {}
+        self._unread: Final[deque[bytes]] = deque()
+        self._pending: list[bytes] = []
+        self._pending_bytes = 0
         self._takers: Final[dict[int, Callable[[bytes], None]]] = {
             records.OPEN: self._open,
             records.CLOSE: self._close_port,
@@ -90,6 +114,7 @@ class Participant:
             records.WAIT: self._wait,
             records.WITHDRAW: self._withdraw,
             records.CHILD: self._admit,
+            records.PORT: self._note_use,
         }
 
     def begin(self) -> None:
@@ -104,6 +129,18 @@ class Participant:
         if number is None or self.is_gone:
             return
         del self._waits[number]
+        self._has_turn = self._is_served = True
+        if self._has_taken:
+            self._has_taken = False
+        else:
+            self._grant(number, waiter)
+        self._serve()
+        self._has_turn = self._is_served = False
+        self._seat.turns += 1
+        if self._is_urgent:
+            self._deliver()
+
+    def _grant(self, number: int, waiter: Waiter) -> None:
         result = Result.HOLDS if waiter.result else Result.EXPIRED
         reason = ""
         if isinstance(waiter.error, KeyboardInterrupt):
@@ -111,39 +148,69 @@ class Participant:
         elif waiter.error is not None:
             result, reason = Result.REFUSED, str(waiter.error)
         now_ns = self._seat.runtime.now_ns()
-        self._has_turn = True
-        self._send(records.TURN.pack(records.GRANT, number, now_ns, result) + reason.encode())
-        self._serve()
-        self._has_turn = False
-        self._seat.turns += 1
-        while self._postponed and not self.is_gone:
-            self._call(self._postponed.pop(0))
+        turn = records.TURN.pack(records.GRANT, number, now_ns, result)
+        self._send_pending(turn + reason.encode())
 
     def _call(self, record: bytes) -> None:
         """Send a record and serve the program until it has answered."""
         if self.is_gone:
             return
-        if self._has_turn:  # time stands still; the program hears of it after its turn
-            self._postponed.append(record)
-            return
-        self._send(record)
-        self._serve()
+        self._pending.append(record)
+        if self._is_served:  # time stands still; the program hears of it after its turn
+            self._is_urgent = True
+        else:
+            self._deliver()
+
+    def _deliver(self) -> None:
+        """Send what is pending, and serve the program until it has answered."""
+        self._is_urgent = self._is_served = True
+        while self._is_urgent and not self.is_gone:
+            self._is_urgent = False
+            self._send_pending()
+            self._serve()
+        self._is_served = False
 
     def _hear(self, kind: int, port: int, frame: bytes, time_ns: int, transmitted: bool) -> None:
-        self._call(records.DELIVERY.pack(kind, port, time_ns, transmitted) + frame)
+        flags = self._flags[port]
+        if transmitted and flags & _OTHERS:
+            return
+        record = records.DELIVERY.pack(kind, port, time_ns, transmitted) + frame
+        if not flags & _QUIET or self._pending_bytes > _PENDING_MAX:
+            self._call(record)
+        elif not self.is_gone:
+            self._pending.append(record)
+            self._pending_bytes += len(record)
 
     def _expire(self, number: int) -> None:
         now_ns = self._seat.runtime.now_ns()
         self._call(records.PERIOD.pack(records.EXPIRED, number, now_ns))
 
-    def _holds(self, number: int, asks: bool) -> bool:
+    def _holds(self, number: int, asks: bool, is_deaf: bool) -> bool:
         """Return whether the condition of a wait holds; ask again after turns of others."""
         if self.is_gone:
             return True  # its turn does nothing
         if asks and self._checked != self._seat.turns:
             self._checked = self._seat.turns
             self._call(records.CALL.pack(records.CHECK, self._seat.runtime.now_ns()))
+        if self._pending and not is_deaf and self._ready != number:
+            return self._takes_turn(number)
         return self._ready == number
+
+    def _takes_turn(self, number: int) -> bool:
+        """Tell the program what is pending; return whether it has taken the turn for this wait."""
+        self._is_served = True
+        now_ns = self._seat.runtime.now_ns()
+        self._send_pending(records.PERIOD.pack(records.TRY, number, now_ns))
+        answer = self._next_record(is_first=True)
+        self._has_taken = answer[:1] == _TAKEN
+        if not self._has_taken:
+            if answer:
+                self._unread.appendleft(answer)
+            self._serve()
+        self._is_served = False
+        if self._is_urgent and not self._has_taken:
+            self._deliver()
+        return self._has_taken or self.is_gone or self._ready == number
 
     # ---- the program calls the rig -----------------------------------------------------------
 
@@ -151,17 +218,19 @@ class Participant:
         """Take records of the program until it is idle, or has gone."""
         is_first = True
         while not self.is_gone:
-            record = self._seat.receive(self, is_first)
+            record = self._next_record(is_first)
             is_first = False
             if not record:
-                self._depart("its connection has ended")
                 return
             kind = record[0]
             try:
                 if kind == records.IDLE:
                     _, self._ready = records.COUNTED.unpack(record)
+                    if self._unread:
+                        raise RecordError("more records after IDLE")
                     if not self._waits:
                         self._depart("it gave the turn back and waits for nothing")
+                    self._seat.end_turn()
                     return
                 if kind == records.LEAVE:
                     self._depart("")
@@ -170,6 +239,28 @@ class Participant:
             except (KeyError, ValueError, RecordError, LengthError, UsageError) as error:
                 self._depart(f"its record {record[:24].hex()} is wrong: {error!r}")
                 return
+
+    def _next_record(self, is_first: bool) -> bytes:
+        """Return the next record; b"" if the program has gone."""
+        if not self._unread:
+            message = self._seat.receive(self, is_first)
+            if not message:
+                self._depart("its connection has ended")
+                return b""
+            if message[0] != records.BATCH:
+                return message
+            try:
+                self._unread.extend(records.split(message))
+            except RecordError as error:
+                self._depart(f"its record {message[:24].hex()} is wrong: {error!r}")
+                return b""
+        return self._unread.popleft()
+
+    def _send_pending(self, *last: bytes) -> None:
+        """Send as one message what is pending, and after it these records."""
+        several, self._pending = [*self._pending, *last], []
+        self._pending_bytes = 0
+        self._send(records.batch(several))
 
     def _send(self, record: bytes) -> None:
         try:
@@ -181,11 +272,13 @@ class Participant:
         _, fd = records.NUMBERED.unpack_from(record)
         bus = records.text_of(record, records.NUMBERED.size)
         world = self._seat.world
-        if bus not in (*world.bus_names(), *world.line_names()) or len(self._ports) == _PORTS_MAX:
+        is_known = bus in world.bus_names() or bus in world.line_names()
+        if not is_known or len(self._ports) == _PORTS_MAX:
             raise RecordError(f"bus {bus!r} cannot be opened; {len(self._ports)} ports are open")
         number = self._free_port()
         hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
         if bus in world.line_names():
+            self._flags[number] = 0
             connection = world.add_line_host(bus, "host", hear)
             self._limits[number] = SendLimit(connection, bus, "characters")
             self._opened(number, bus, connection)
@@ -195,6 +288,7 @@ class Participant:
             if len(frame) == FRAME_BYTES:
                 hear(frame, time_ns, transmitted)
 
+        self._flags[number] = 0
         port = world.add_host(bus, "host", hear if fd else hear_classical, told)
         self._limits[number] = SendLimit(port, bus)
         self._opened(number, bus, port)
@@ -219,6 +313,12 @@ class Participant:
         _, number = records.NUMBERED.unpack_from(record)
         self._ports.pop(number)[1].close()
         del self._limits[number]
+
+    def _note_use(self, record: bytes) -> None:
+        _, number, flags = records.PORT_FLAGS.unpack(record)
+        if number not in self._ports:
+            raise RecordError(f"port {number}: not open")
+        self._flags[number] = flags
 
     def _submit(self, record: bytes) -> None:
         _, number = records.NUMBERED.unpack_from(record)
@@ -265,8 +365,9 @@ class Participant:
         _, number, party, flags, deadline_ns = records.WAITING.unpack(record)
         if number in self._waits or len(self._waits) == _PARTIES_MAX or deadline_ns > END_NS:
             raise RecordError(f"wait {number}: used, beyond {_PARTIES_MAX} waits, or too long")
-        done = partial(self._holds, number, bool(flags & WaitFlags.PROCESSES))
-        on_parties = bool(flags & WaitFlags.PARTIES)
+        asks, is_deaf = bool(flags & _PROCESSES), bool(flags & _DEAF)
+        done = partial(self._holds, number, asks, is_deaf)
+        on_parties = bool(flags & _PARTIES)
         runtime = self._seat.runtime
         self._waits[number] = runtime.wait_elsewhere(
             self._parties[party], done, deadline_ns, on_parties
@@ -290,6 +391,7 @@ class Participant:
         if self.is_gone:
             return
         self.is_gone = True
+        self._seat.turns += 1
         for period in self._periods.values():
             period.cancel()
         for _, port in self._ports.values():

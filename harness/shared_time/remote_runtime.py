@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import Result, WaitFlags
-from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter
+from motorhil.harness.virtual_time.runtime import VirtualParty, VirtualRuntime, Waiter, never
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import FrameListener, Registration
 
+_PARTIES: Final = int(WaitFlags.PARTIES | WaitFlags.DEAF)
+_PROCESSES: Final = int(WaitFlags.PROCESSES)
+_DEAF: Final = int(WaitFlags.DEAF)
+_TAKEN: Final = bytes([records.TAKEN])
 GONE: Final = "the rig has ended, and with it the time of this program"
 
 
@@ -34,14 +38,22 @@ class RemoteLink:
     def __init__(self, connection: socket.socket) -> None:
         self.is_open: bool = True
         self._connection: Final[socket.socket] = connection
+        self._held: list[bytes] = []
+        self._unread: list[bytes] = []  # the oldest last
         # Bound before the program's own waits for sockets are refused.
         self._send: Final[Callable[[bytes], int]] = connection.send
         self._receive: Final[Callable[[int], bytes]] = connection.recv
 
+    def hold(self, record: bytes) -> None:
+        """Send a record together with the next one."""
+        self._held.append(record)
+
     def send(self, record: bytes) -> None:
-        """Send a record; raise UsageError if the rig has ended."""
+        """Send a record, after those that are held; raise UsageError if the rig has ended."""
         if not self.is_open:
             raise UsageError(GONE)
+        if self._held:
+            record, self._held = records.batch([*self._held, record]), []
         try:
             self._send(record)
         except OSError:
@@ -50,22 +62,29 @@ class RemoteLink:
 
     def receive(self) -> bytes:
         """Return the next record; raise UsageError if the rig has ended."""
+        if self._unread:
+            return self._unread.pop()
         if self.is_open:
             try:
-                record = self._receive(records.RECORD_MAX)
+                message = self._receive(records.RECORD_MAX)
             except OSError:
-                record = b""
-            if record:
-                return record
+                message = b""
+            if message:
+                self._unread = [*records.split(message)][::-1]
+                return self._unread.pop()
         self.is_open = False
         raise UsageError(GONE)
+
+    def has_more(self) -> bool:
+        """Return whether the last message has more records."""
+        return bool(self._unread)
 
     def close(self) -> None:
         """Tell the rig that this program leaves, and close the connection."""
         if self.is_open:
+            with suppress(UsageError):
+                self.send(bytes([records.LEAVE]))
             self.is_open = False
-            with suppress(OSError):
-                self._send(bytes([records.LEAVE]))
         self._connection.close()
 
 
@@ -147,13 +166,24 @@ class RemoteRuntime(VirtualRuntime):
         while True:
             record = link.receive()
             kind = record[0]
+            waiter, ready = None, -1
             if kind == records.GRANT:
                 waiter = self._granted(record)
-                if waiter is not None:
-                    return waiter
+            elif kind == records.TRY:
+                _, number, now_ns = records.PERIOD.unpack(record)
+                self._advance(now_ns)
+                ready = self._first_ready()
+                if ready == number:
+                    waiter = self._taken(number)
             else:
                 self._serve(kind, record)
-            link.send(records.COUNTED.pack(records.IDLE, self._first_ready()))
+                if link.has_more():
+                    continue
+            if waiter is not None:
+                return waiter
+            if ready < 0:
+                ready = self._first_ready()
+            link.send(records.COUNTED.pack(records.IDLE, ready))
 
     def _granted(self, record: bytes) -> Waiter | None:
         _, number, now_ns, result = records.TURN.unpack_from(record)
@@ -166,6 +196,13 @@ class RemoteRuntime(VirtualRuntime):
             waiter.error = UsageError(records.text_of(record, records.TURN.size))
         elif result == Result.INTERRUPTED:
             waiter.error = KeyboardInterrupt()
+        return waiter
+
+    def _taken(self, number: int) -> Waiter:
+        """Take the turn for this wait; its next record to the rig says so."""
+        self._link.hold(_TAKEN)
+        waiter = self._told.pop(number)
+        waiter.result = True
         return waiter
 
     def _advance(self, now_ns: int) -> None:
@@ -198,28 +235,26 @@ class RemoteRuntime(VirtualRuntime):
         for number, waiter in list(self._told.items()):
             if waiter not in self._waiters:
                 del self._told[number]
-                self._link.send(records.COUNTED.pack(records.WITHDRAW, number))
+                self._link.hold(records.COUNTED.pack(records.WITHDRAW, number))
         told = list(self._told.values())
         for waiter in self._waiters:
             if waiter not in told:
                 number = self._next_wait
                 self._next_wait += 1
                 self._told[number] = waiter
-                flags = WaitFlags.PARTIES if waiter.on_parties else WaitFlags(0)
+                flags = _PARTIES if waiter.on_parties else _DEAF if waiter.done is never else 0
                 if waiter.party in self._on_processes:
-                    flags |= WaitFlags.PROCESSES
-                self._link.send(
-                    records.WAITING.pack(
-                        *(records.WAIT, number, self._number_of(waiter.party)),
-                        *(int(flags), waiter.deadline_ns),
-                    )
+                    flags |= _PROCESSES
+                party = self._number_of(waiter.party)
+                self._link.hold(
+                    records.WAITING.pack(records.WAIT, number, party, flags, waiter.deadline_ns)
                 )
 
     def _number_of(self, party: VirtualParty) -> int:
         number = self._numbers.get(party)
         if number is None:
             number = self._numbers[party] = self._free_number(party)
-            self._link.send(records.numbered(records.PARTY, number, party.name))
+            self._link.hold(records.numbered(records.PARTY, number, party.name))
         return number
 
     def _free_number(self, party: VirtualParty) -> int:

@@ -8,6 +8,7 @@ from motorhil.emulators.simulation.ownership_notice import OwnershipNotice, pack
 from motorhil.harness.rig.config.buses import MODBUS_TCP
 from motorhil.harness.rig.rig import serial_line
 from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time.records import PortFlags
 from motorhil.motorapi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -39,11 +40,26 @@ class RemotePort:
         self.number: Final[int] = number
         self._link: Final[RemoteLink] = link
         self._runtime: Final[RemoteRuntime] = runtime
+        self._flags = PortFlags(0)
         self._head: Final[bytes] = records.NUMBERED.pack(records.SEND, number)
 
     def send(self, frame: bytes) -> None:
         """Queue the frame for the bus, or send these characters of a line."""
         self._link.send(self._head + frame)
+
+    def note_use(self, *, keeps: bool, own: bool) -> None:
+        """Tell the rig what happens to frames of this port, so that it calls less often.
+
+        Args:
+            keeps: True if they are kept until a party looks for them; nothing else happens.
+            own: True if frames that this port has sent are of use.
+        """
+        flags = PortFlags.QUIET if keeps else PortFlags(0)
+        if not own:
+            flags |= PortFlags.OTHERS
+        if flags != self._flags:
+            self._flags = flags
+            self._link.hold(records.PORT_FLAGS.pack(records.PORT, self.number, flags))
 
     def pending(self) -> int:
         """Return 0: the rig itself refuses too many frames."""

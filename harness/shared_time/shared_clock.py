@@ -41,8 +41,10 @@ OF_CHILDREN: Final = "-children"
 JOIN_S: Final = 10.0
 _LOOK_S: Final = 0.1
 _GRACE_S: Final = 5.0
+_WAITS_TOLD: Final = 8
 _CHILDREN_MAX: Final = 256
 _LATE_MAX: Final = 1_024  # records; the buffer of a connection holds fewer
+_PATIENCE: Final = struct.pack("@ll", 0, 10_000)  # s, us; then the outputs of programs are read
 _PEER: Final = struct.Struct("3i")  # pid, uid, gid
 _PROCESS: Final = re.compile(r"pid (\d+) \([^()]*\)")
 
@@ -85,17 +87,27 @@ class _Turn:
     Attributes:
         is_due: True once the program has kept the turn for too long.
         is_told: True once that was told, and the program killed.
+        is_asked: True once it was told because of Ctrl-C.
     """
 
     def __init__(self) -> None:
         self.is_due: bool = False
         self.is_told: bool = False
+        self.is_asked: bool = False
         self._began_s = time.monotonic()
         self._late = 0
 
+    def kept_s(self) -> float:
+        """Return for how long the program has had it [s]."""
+        return time.monotonic() - self._began_s
+
+    def is_late(self, stall_s: float) -> bool:
+        """Look at the clock; return whether the program has kept the turn for too long."""
+        return self.kept_s() > stall_s
+
     def is_over(self, stall_s: float, is_heard: bool) -> bool:
         """Look at the clock; return whether a killed program still keeps the turn."""
-        kept_s = time.monotonic() - self._began_s
+        kept_s = self.kept_s()
         if kept_s > stall_s:
             self._late += 1
             self.is_due = self.is_due or not is_heard or self._late > _LATE_MAX
@@ -144,7 +156,7 @@ class SharedClock:
         self._end: Final[Callable[[str], None]] = end
         self._await_end: Final[Callable[[str], None]] = await_end
         self._programs: list[Participant] = []
-        self._poll: Final[select.poll] = select.poll()
+        self._poll: Final[select.poll] = select.poll()  # of outputs
         self._outputs: dict[int, Callable[[], bool]] = {}
         self._listener: Final[socket.socket] = _listener(path)
         self._of_children: Final[socket.socket] = _listener(Path(f"{path}{OF_CHILDREN}"))
@@ -208,6 +220,7 @@ class SharedClock:
             connection.close()
             return None
         connection.settimeout(None)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _PATIENCE)
         peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
         self._pids[_PEER.unpack(peer)[0]] = name
         buses = {bus: self.world.bus(bus).data_bitrate_bit_s for bus in self.world.bus_names()}
@@ -257,14 +270,26 @@ class SharedClock:
         return all(program.is_gone for program in self._programs)
 
     def receive(self, participant: Participant, is_first: bool) -> bytes:
-        """Return the program's next record, b"" if it has gone; end it if it keeps the turn."""
+        """Return the program's next message, b"" if it has gone; end it if it keeps the turn."""
         if is_first:
             self._turn = _Turn()
+        if not self._turn.is_late(self._stall_s(participant.name)):
+            try:
+                return participant.connection.recv(records.RECORD_MAX)
+            except BlockingIOError:  # it takes longer than most
+                pass
+            except OSError:
+                return b""
         self._poll.register(participant.connection, select.POLLIN)
         try:
             return self._awaited(participant)
         finally:
             self._poll.unregister(participant.connection)
+
+    def end_turn(self) -> None:
+        """Take what programs have printed, before another one prints."""
+        for fd, _ in self._poll.poll(0):
+            self._take(fd)
 
     def _awaited(self, participant: Participant) -> bytes:
         connection, turn = participant.connection, self._turn
@@ -279,6 +304,8 @@ class SharedClock:
                 return b""  # it cannot be killed: its connection is closed
             if turn.is_due and not turn.is_told:
                 self._end_stalled(participant.name)
+            if not turn.is_asked and self.runtime.is_interrupted():
+                self._tell_holder(participant.name)
             if is_heard:
                 try:
                     return connection.recv(records.RECORD_MAX)
@@ -289,7 +316,7 @@ class SharedClock:
         self._turn.is_told = True
         text = (
             f"has kept the turn for {self._stall_s(name):g} s of wall time, and no virtual time"
-            " passes; expected a wait; it is killed"
+            f" passes; expected a wait; it is killed; waiting: {self._waiting()}"
         )
         self._tell(name, "error", text)
         child = self._children.get(name)
@@ -297,6 +324,26 @@ class SharedClock:
             self._end(name)
         else:
             child.end()
+
+    def _tell_holder(self, name: str) -> None:
+        """Tell who has the turn, since Ctrl-C takes effect only at its next wait."""
+        self._turn.is_asked = True
+        text = (
+            f"has had the turn for {self._turn.kept_s():.1f} s of wall time; Ctrl-C takes effect at"
+            f" its next wait; press it again to end at once; waiting: {self._waiting()}"
+        )
+        self._tell(name, "warning", text)
+
+    def _waiting(self) -> str:
+        """Return who waits, and until when; of each program its parties."""
+        programs = {one.name for one in self._programs if not one.is_gone}
+        waits = [
+            f"{name} " + ("without a timeout" if end_ns is None else f"until {end_ns / 1e9:g} s")
+            for name, end_ns in self.runtime.waits()
+            if name.partition("/")[0] in programs
+        ]
+        more = [f"and {len(waits) - _WAITS_TOLD} more"] if len(waits) > _WAITS_TOLD else []
+        return ", ".join(waits[:_WAITS_TOLD] + more) or "nobody"
 
     def _stall_s(self, name: str) -> float:
         """Return how long a program may keep the turn; a child as long as its program [s]."""

@@ -114,9 +114,11 @@ class VirtualParty:
         return self.error is not None and not self.joined
 
 
-@final
-class PartyThread(threading.Thread):
-    """The thread of a party that `spawn` started."""
+PartyThread: Final[type[threading.Thread]] = type("PartyThread", (threading.Thread,), {})
+"""The thread of a party that `spawn` started.
+
+No class statement: a compiled class keeps its own fields where Thread keeps its weak references.
+"""
 
 
 @final
@@ -330,7 +332,7 @@ class VirtualRuntime:
 
     def run_for(self, duration_s: float) -> None:
         """Let `duration_s` [s] pass."""
-        self.wait_until(_never, duration_s)
+        self.wait_until(never, duration_s)
 
     def interrupt(self) -> bool:
         """Raise KeyboardInterrupt in the first party after this event; for signal handlers.
@@ -342,6 +344,17 @@ class VirtualRuntime:
             return False
         self._interrupted = True
         return True
+
+    def is_interrupted(self) -> bool:
+        """Return True from `interrupt` until the first party has been told."""
+        return self._interrupted
+
+    def waits(self) -> list[tuple[str, int | None]]:
+        """Return who waits, the longest first, and until when [ns]; None without a timeout."""
+        return [
+            (self.whereabouts(one.party), None if one.deadline_ns == _NEVER else one.deadline_ns)
+            for one in self._waiters
+        ]
 
     def progress(self) -> tuple[int, int]:
         """Return the time [ns] and a count of turns: equal twice, nothing has happened between."""
@@ -560,7 +573,8 @@ def _at_once() -> bool:
     return True
 
 
-def _never() -> bool:
+def never() -> bool:
+    """Return False: the condition of a wait that only time ends."""
     return False
 
 

@@ -29,7 +29,13 @@ from motorhil.motorapi.api.line_exchanges import (
     LineProtocolViolation,
 )
 from motorhil.motorapi.api.line_unit import LineUnit
-from motorhil.motorapi.api.polled_hardware import BOOT_S, Poll, PolledHardware
+from motorhil.motorapi.api.polled_hardware import (
+    BOOT_S,
+    Numbers,
+    Poll,
+    PolledHardware,
+    PolledStatus,
+)
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.api.registration import API_VERSION as VERSION
 from motorhil.motorapi.api.registration import Options, Shared, adaptation, read_settings
@@ -49,6 +55,7 @@ from motorhil.motorapi.errors import (
     StateError,
     UnsupportedError,
     UsageError,
+    require_within,
 )
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.model import MotionKind, MotorModel
@@ -105,12 +112,14 @@ __all__ = [
     "MotorError",
     "MotorModel",
     "MotorState",
+    "Numbers",
     "Options",
     "PeerError",
     "PeriodicMessage",
     "Poll",
     "PolledHardware",
     "PolledMotor",
+    "PolledStatus",
     "ProcessLock",
     "Ramps",
     "Registration",
@@ -145,6 +154,7 @@ __all__ = [
     "read_settings",
     "require_here",
     "require_time",
+    "require_within",
     "text",
     "wait_until",
     "whole",

@@ -8,7 +8,8 @@ Costs: a received frame of the bus costs one look-up, however many drives there 
 with time.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorhil.motorapi.api.bus_traffic import traffic_on
@@ -138,6 +139,8 @@ class CanDrive:
         self._heard: tuple[bytes, int] | None = None  # the last frame, and its time
         self._told: Final[dict[Hashable, object]] = {}
         self._told_token = -1
+        self._answers: Final[dict[Hashable, int]] = {}
+        self._start: tuple[int, int, int | None] | None = None
         self._connecting: Final = TurnLock(self.runtime)
         where = bus_name(bus) if can_share_time(self.runtime) else None
         lock: ProcessLock | None = None
@@ -214,6 +217,20 @@ class CanDrive:
     def every(self, period_s: float, action: Callable[[], None]) -> None:
         """Run `action` every `period_s` [s] until `close`; it must not wait."""
         self._activities.append(self.runtime.every(period_s, action))
+
+    def repeat(self, period_s: float, send: Callable[[], object]) -> None:
+        """As `every`, but not while the bus is off; a frame that it does not accept is left out."""
+
+        def action() -> None:
+            if not self.status.is_off:
+                with suppress(LinkError):
+                    send()
+
+        self.every(period_s, action)
+
+    def answered(self, key: Hashable) -> None:
+        """Note an answer, for `ask`; handlers of answers call it."""
+        self._answers[key] = self._answers.get(key, 0) + 1
 
     def expect(
         self, name: str, timeout_s: float, on_loss: Callable[[], None] | None = None
@@ -371,6 +388,20 @@ class CanDrive:
             last_heard=status.trouble() or self._last_heard(),
         )
 
+    def ask(
+        self,
+        key: Hashable,
+        request: Callable[[], object],
+        timeout_s: float,
+        awaited: str,
+        repeat_s: float | None = None,
+    ) -> None:
+        """Send a request, and wait for an answer that is noted under this key; see `exchange`."""
+        before = self._answers.get(key, 0)
+        self.exchange(
+            request, lambda: self._answers.get(key, 0) > before, timeout_s, awaited, repeat_s
+        )
+
     def confirm(self, sent: SentFrame, timeout_s: float = 0.5) -> int:
         """Return when the frame, and so all frames before it, was on the bus [ns].
 
@@ -396,6 +427,35 @@ class CanDrive:
     ) -> None:
         """Declare periodic frames of the drive, and ours to it, for bounds of others on the bus."""
         note_node(self._bus, self._node, NodeTraffic(sent=sent, ours=ours))
+
+    def note_frames(
+        self, sent: Iterable[tuple[int, int, float]], ours: Iterable[tuple[int, int, float]] = ()
+    ) -> None:
+        """As `note_traffic`, for frames of the drive's kind: (identifier, bytes, period [s])."""
+
+        def messages(frames: Iterable[tuple[int, int, float]]) -> tuple[PeriodicMessage, ...]:
+            return tuple(
+                PeriodicMessage(
+                    *(can_id & _ID, length, period_s),
+                    extended=bool((can_id | self._flag) & _EXTENDED),
+                    fd=self._fd,
+                    bit_rate_switch=self._fd,
+                )
+                for can_id, length, period_s in frames
+            )
+
+        self.note_traffic(messages(sent), messages(ours))
+
+    def starts_by(self, can_id: int, length: int, *, flags: int | None = None) -> None:
+        """Declare the command that starts a motion, for `own_offer`; arguments: `start_offer`."""
+        self._start = can_id, length, flags
+
+    def own_offer(self) -> SyncOffer | None:
+        """Return the offer of a start by the declared command, or None without one."""
+        if self._start is None:
+            return None
+        can_id, length, flags = self._start
+        return self.start_offer(can_id, length, flags=flags)
 
     def start_offer(self, can_id: int, length: int, *, flags: int | None = None) -> SyncOffer:
         """Return the offer of a drive that a command of its own starts.

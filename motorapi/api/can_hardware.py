@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import can
 
     from motorhil.motorapi.runtime.api import Runtime
+    from motorhil.motorapi.synchronization.offer import SyncOffer
 
 _ASK_S: Final = 0.05
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -106,6 +107,11 @@ class CanHardware(ABC, Generic[OptionsT]):
         """Forget what the drive was told: another program commands it, or it was lost."""
         self.drive.doubt()
 
+    def overheard(self, by: str, time_ns: int) -> None:
+        """Note that another program has commanded the drive; see `CanDrive.overheard`."""
+        self.forget()
+        self.drive.overheard(by, time_ns)
+
     # --- what all have
 
     @property
@@ -148,7 +154,8 @@ class Estimate(NamedTuple):
 class StreamedCanHardware(CanHardware[OptionsT]):
     """The hardware object of a `StreamedMotor`: a drive without a profile generator.
 
-    A kind adds `is_on`, `send`, `start_offer` and `stop_anyway`; its `_begin` calls `_stream`.
+    A kind adds `is_on`, `send` and `stop_anyway`; its `_begin` calls `_stream`, and declares the
+    frame of a set-point by `CanDrive.starts_by`.
 
     Attributes:
         motions: the motion that is streamed to it.
@@ -176,6 +183,18 @@ class StreamedCanHardware(CanHardware[OptionsT]):
     @abstractmethod
     def is_on(self) -> bool:
         """True if the motor has current, as far as known."""
+
+    def start_offer(self) -> "SyncOffer":
+        """Return the offer of a start by the first set-point."""
+        offer = self.drive.own_offer()
+        assert offer is not None  # declared by `_begin`
+        return offer
+
+    def see_fault(self, code: int, text: str, time_ns: int) -> None:
+        """Note the fault that the drive reports, 0 for none; a new one ends the motion."""
+        if code and (self.fault is None or self.fault.code != code):
+            self.motions.forget()
+            self.fault = Fault(code, text, time_ns)
 
     def measurement(self, units: float) -> Measurement | None:
         """Return the last measurement, with so many units of the drive per unit of the model."""

@@ -12,6 +12,7 @@ from motorhil.motorapi.errors import UnsupportedError, UsageError
 from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.motion import Motion
 from motorhil.motorapi.motor import Motor
+from motorhil.motorapi.synchronization.offer import SyncOffer
 
 if TYPE_CHECKING:
     import can
@@ -85,6 +86,10 @@ class CanMotor(Motor, Generic[HardwareT]):
 
     def _connect(self) -> None:
         self.hardware.connect()
+
+    def _sync_offer(self) -> SyncOffer:
+        offer = self.hardware.drive.own_offer()
+        return super()._sync_offer() if offer is None else offer
 
     def _open_low_level(self) -> HardwareT:
         return self.hardware

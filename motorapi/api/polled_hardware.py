@@ -5,8 +5,8 @@ reports the status (`Poll`) and executes commands in the drive's own units. All 
 absolute: a command whose answer was lost can be verified, and is never executed twice.
 
 Position is in counts (pulses, steps) of the motor. The drive holds the counts per turn of the
-motor, the motor model the turns of the motor per turn of the output. Values are rounded so that no
-limit is exceeded.
+motor, the motor model the turns of the motor per turn of the output. Speeds and ramps are whole
+numbers in units of the drive (`_rates`), rounded so that no limit is exceeded.
 
 The drive's counter has 32 bits and wraps around; positions here do not. They differ by a multiple
 of 2^32 counts, which each status updates. So a status is needed at least every 500 s of motion.
@@ -14,14 +14,15 @@ of 2^32 counts, which each status updates. So a status is needed at least every 
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import floor, pi
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, TypeVar, final
 
 from motorhil.motorapi.api.line_exchanges import Exchange
 from motorhil.motorapi.api.line_unit import LineUnit
-from motorhil.motorapi.errors import LimitError, UsageError
+from motorhil.motorapi.commands import ControlVariable
+from motorhil.motorapi.errors import UsageError, require_within
 from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.state import Fault, MotorState
 
@@ -34,10 +35,12 @@ if TYPE_CHECKING:
 BOOT_S: Final = 3.0
 """The time within which a drive answers after power-on [s]."""
 INT32_MAX: Final = 0x7FFF_FFFF
+UINT32_MAX: Final = 0xFFFF_FFFF
 HERE: Final = (None, 35, 37)
 """The homing methods that define the present position as 0."""
 _OLD_NS: Final = 100_000_000  # longer than a poll on a line of 9600 bit/s that loses nothing
 _ROUNDING: Final = 1e-9  # below an integer: counts as the integer, so that rounding twice is safe
+_ROUNDING_SHARE: Final = 4e-16  # likewise, of a large one
 
 
 @final
@@ -60,6 +63,45 @@ class Poll:
     is_moving: bool
     has_arrived: bool
     at_velocity: bool
+
+
+@final
+class PolledStatus(NamedTuple):
+    """A status as the drive tells it, for `PolledHardware._poll_of`; see `Poll`.
+
+    Attributes:
+        is_on: whether the motor has current.
+        position, demand: [counts].
+        velocity: [U/s].
+        is_stopped: whether the drive has stopped the motor; after a quick stop it has in any case.
+    """
+
+    time_ns: int
+    fault: Fault | None
+    is_on: bool
+    position: int
+    demand: int
+    velocity: float
+    is_moving: bool
+    has_arrived: bool
+    at_velocity: bool
+    is_stopped: bool = False
+
+
+@final
+class Numbers(NamedTuple):
+    """A motion in whole numbers of the drive.
+
+    Attributes:
+        target: the position [counts]; None: a motion at a velocity.
+        speed: that of the profile, or the signed velocity.
+        faster, slower: the ramps.
+    """
+
+    target: int | None
+    speed: int
+    faster: int
+    slower: int
 
 
 @final
@@ -122,10 +164,14 @@ class PolledHardware(ABC, Generic[UnitT]):
         settings: those settings; empty for an object made by an application.
         STARTS_AT_ONCE: whether `trigger` sends one request, which `starts` a motion.
         NEAR_TURNS: the most by which the drive rounds a target; a full step of a stepper.
+        NUMBER_MAX: the largest speed or ramp; larger ones are limited to it.
+        HAS_ONE_RAMP: whether the drive accelerates and decelerates alike.
     """
 
     STARTS_AT_ONCE: ClassVar[bool] = True
     NEAR_TURNS: ClassVar[float] = 1 / 200
+    NUMBER_MAX: ClassVar[int] = UINT32_MAX
+    HAS_ONE_RAMP: ClassVar[bool] = False
 
     def __init__(self, registers: UnitT) -> None:
         self.registers: Final[UnitT] = registers
@@ -207,18 +253,46 @@ class PolledHardware(ABC, Generic[UnitT]):
             LimitError: the drive's counter wraps around between here and there.
         """
         wraps = self._position - as_signed(self._position)
-        if not -INT32_MAX <= counts - wraps <= INT32_MAX:
-            raise LimitError(
-                motor=self.label,
-                quantity="position",
-                value=counts,
-                low=wraps - INT32_MAX,
-                high=wraps + INT32_MAX,
-                unit=unit,
-                reason="the drive's counter wraps around in between; cross it at a velocity, or"
-                " call home(37) at rest",
-            )
+        require_within(
+            self.label,
+            "position",
+            counts,
+            (wraps - INT32_MAX, wraps + INT32_MAX),
+            unit,
+            "the drive's counter wraps around in between; cross it at a velocity, or call home(37)"
+            " at rest",
+        )
         return counts - wraps
+
+    def _rates(self, model: "MotorModel") -> tuple[float, float]:
+        """Return the drive's numbers for 1 U/s and 1 U/s²; by default in counts."""
+        per_unit = abs(self._per_unit(model))
+        return per_unit, per_unit
+
+    def _ramp(self, rate: float) -> int:
+        """Return the drive's number for a ramp, by default of the same size."""
+        return self._down(rate)
+
+    def _rate_of(self, ramp: int) -> float:
+        """Return the size of a ramp."""
+        return ramp
+
+    @final
+    def _down(self, value: float) -> int:
+        """Return the drive's number that does not exceed this value, but not 0."""
+        return max(1, min(self.NUMBER_MAX, floor(value * (1.0 + _ROUNDING_SHARE) + _ROUNDING)))
+
+    @final
+    def _numbers(self, motion: "Motion", model: "MotorModel") -> Numbers:
+        per_unit, (speed, ramp) = self._per_unit(model), self._rates(model)
+        ramps = motion.acceleration, motion.deceleration
+        ramps = (min(ramps), min(ramps)) if self.HAS_ONE_RAMP else ramps
+        faster, slower = (self._ramp(one * ramp) for one in ramps)
+        if motion.variable is ControlVariable.VELOCITY:
+            way = 1 if per_unit > 0 else -1
+            return Numbers(None, way * toward_zero(motion.target * speed), faster, slower)
+        target = round(motion.target * per_unit)
+        return Numbers(target, self._down(motion.velocity * speed), faster, slower)
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -230,6 +304,20 @@ class PolledHardware(ABC, Generic[UnitT]):
     @abstractmethod
     def poll(self, model: "MotorModel") -> Poll:
         """Read state, position, speed and demand, each in a separate request."""
+
+    @final
+    def _poll_of(self, told: PolledStatus, model: "MotorModel") -> Poll:
+        """Return a status as a poll, and send a lost stop again."""
+        per_unit, fault = self._per_unit(model), told.fault
+        self._stop_again(told.is_moving)
+        is_stopped = told.is_stopped or self._quick_stopped
+        state = MotorState.STOPPED if is_stopped else MotorState.ENABLED
+        state = state if told.is_on else MotorState.DISABLED
+        return Poll(
+            *(told.time_ns, state if fault is None else MotorState.FAULT, fault),
+            *(told.position / per_unit, told.demand / per_unit, told.velocity),
+            *(told.is_moving, told.has_arrived, told.at_velocity),
+        )
 
     @final
     def _read_positions(
@@ -287,13 +375,29 @@ class PolledHardware(ABC, Generic[UnitT]):
 
     # --- motion -----------------------------------------------------------------------------------
 
-    @abstractmethod
     def quantised(self, motion: "Motion", model: "MotorModel") -> "Motion":
         """Return the motion in the drive's resolution; requires `connect`."""
+        target, number, faster, slower = self._numbers(motion, model)
+        per_unit, (speed, ramp) = self._per_unit(model), self._rates(model)
+        changed = replace(
+            motion,
+            acceleration=self._rate_of(faster) / ramp,
+            deceleration=self._rate_of(slower) / ramp,
+        )
+        if target is None:
+            return replace(changed, target=(number if per_unit > 0 else -number) / speed)
+        return replace(changed, velocity=number / speed, target=target / per_unit)
 
-    @abstractmethod
     def prepare(self, motion: "Motion", model: "MotorModel") -> None:
         """Prepare the motion, except for its trigger."""
+        self.connect(model)
+        self._recounts = False
+        self._prepare(self._numbers(motion, model), model)
+        self._stop = None
+
+    def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
+        """Prepare a motion; a kind implements it, or `prepare`."""
+        raise NotImplementedError(f"{type(self).__name__}: has no _prepare")
 
     @abstractmethod
     def trigger(self) -> None:
@@ -348,13 +452,5 @@ def check_register(label: str, quantity: str, value: int, high: int, unit: str) 
     Raises:
         LimitError: the value is above `high`; the message gives the quantity in the drive's unit.
     """
-    if value > high:
-        raise LimitError(
-            motor=label,
-            quantity=quantity,
-            value=value,
-            low=None,
-            high=high,
-            unit=unit,
-            reason="the range of the drive's register",
-        )
+    reason = "the range of the drive's register"
+    require_within(label, quantity, value, (None, high), unit, reason)

@@ -6,7 +6,7 @@ the shortest trapezoid, another variable along a ramp, and a trajectory as it is
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.motorapi.api.setpoint_stream import SendSetpoint, SetpointStream
 from motorhil.motorapi.commands import ControlVariable, Setpoint
@@ -22,10 +22,14 @@ if TYPE_CHECKING:
     from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
 
-_STEP_S: Final = 1e-4  # over which a rate is found
 
-Course = tuple[Callable[[float], float], float]
-"""(value over the time since the start [s], its duration [s])."""
+class Course(NamedTuple):
+    """A value with two derivatives over the time since the start [s], and its duration [s]."""
+
+    value: Callable[[float], float]
+    first: Callable[[float], float]
+    second: Callable[[float], float]
+    duration_s: float
 
 
 def can_stream(variable: ControlVariable, command: Setpoint | Trajectory) -> bool:
@@ -62,8 +66,9 @@ class StreamedMotion:
         self._lead_s: Final = lead_s
         self._stream: SetpointStream | None = None
         self._started: SetpointStream | None = None  # by the last motion; a stop has its own
-        self._course: Course = (float, 0.0)
+        self._course = _constant(0.0)
         self._began_ns = 0
+        self._sampled_s = 0.0
 
     @property
     def is_going(self) -> bool:
@@ -78,7 +83,7 @@ class StreamedMotion:
     @property
     def since_end_s(self) -> float:
         """The time since the end of the last course [s]; below 0 before it."""
-        return self._elapsed_s() - self._course[1]
+        return self._elapsed_s() - self._course.duration_s
 
     def start(
         self, motion: "Motion", scale: float, measured: tuple[float, float], send: SendSetpoint
@@ -95,14 +100,19 @@ class StreamedMotion:
         if motion.trajectory is not None:
             demand = demand_of(motion)
             began, ends = demand.initial_argument, demand.final_argument
-            course: Course = (lambda at_s: demand.value(began + at_s) * scale, ends - began)
+            course = Course(
+                lambda at_s: demand.value(began + at_s) * scale,
+                lambda at_s: demand.first(began + at_s) * scale,
+                lambda at_s: demand.second(began + at_s) * scale,
+                ends - began,
+            )
         elif motion.variable is ControlVariable.POSITION:
             size = abs(scale)
             most = motion.velocity * size
             limits = ProfileLimits(most, motion.acceleration * size, motion.deceleration * size)
             rate = max(-most, min(most, rate))
             profile = trapezoid(motion.target * scale, limits, initial=value, initial_velocity=rate)
-            course = (profile.value, profile.duration_s)
+            course = Course(profile.value, profile.first, profile.second, profile.duration_s)
         else:
             course = _ramp(motion, value, scale)
         sent = self._follow(motion.variable, course, send)
@@ -113,26 +123,37 @@ class StreamedMotion:
         self, deceleration: float, measured: tuple[float, float], send: SendSetpoint
     ) -> "SentFrame":
         """Slow down to rest with positions, then hold; return and raise as `start`."""
-        position, velocity = self.now(ControlVariable.POSITION, measured)
-        ramps = Ramps(velocity, 0.0, deceleration, deceleration)
-        course = (lambda at_s: ramps.integral(at_s, position), ramps.duration_s)
-        return self._follow(ControlVariable.POSITION, course, send)
+        return self._follow(ControlVariable.POSITION, self._to_rest(deceleration, measured), send)
+
+    def slow_down(self, deceleration: float, measured: tuple[float, float]) -> None:
+        """As `stop`, but send nothing: the caller sends what `demand` returns."""
+        self._begin(ControlVariable.POSITION, self._to_rest(deceleration, measured))
 
     def hold(self, measured: tuple[float, float], send: SendSetpoint) -> "SentFrame":
         """Hold the present position; return and raise as `start`."""
         position, _ = self.now(ControlVariable.POSITION, measured)
-        return self._follow(ControlVariable.POSITION, (lambda _: position, 0.0), send)
+        return self._follow(ControlVariable.POSITION, _constant(position), send)
 
     def now(self, variable: ControlVariable, measured: tuple[float, float]) -> tuple[float, float]:
         """Return the demand of a variable and its rate now; if it has none, what is measured."""
         stream = self._stream
-        if self.variable is not variable or stream is None or stream.last is None:
+        if self.variable is not variable:
             value = measured[1] if variable is ControlVariable.VELOCITY else 0.0
             return measured if variable is ControlVariable.POSITION else (value, 0.0)
-        if variable is not ControlVariable.POSITION or not stream.is_going:
+        is_still = variable is not ControlVariable.POSITION or not self.is_going
+        if is_still and stream is not None and stream.last is not None:
             return stream.last, 0.0
-        at_s, demand = self._elapsed_s(), self._course[0]
-        return demand(at_s), (demand(at_s + _STEP_S) - demand(at_s - _STEP_S)) / (2.0 * _STEP_S)
+        value, rate, _ = self.demand()
+        return value, rate
+
+    def demand(self) -> tuple[float, float, float]:
+        """Return the demand of `variable` now, and two derivatives."""
+        at_s = min(self._elapsed_s(), self._course.duration_s)
+        return self._course.value(at_s), *self._rates(at_s)
+
+    def rates(self) -> tuple[float, float]:
+        """Return two derivatives of the set-point that is being sent."""
+        return self._rates(self._sampled_s)
 
     def times(self) -> "MotionTimes | None":
         """Return when the last motion began and ended on the bus; None: no motion yet."""
@@ -151,18 +172,47 @@ class StreamedMotion:
     def _elapsed_s(self) -> float:
         return (self._drive.runtime.now_ns() - self._began_ns) / 1e9
 
-    def _follow(self, variable: ControlVariable, course: Course, send: SendSetpoint) -> "SentFrame":
-        value, duration_s = course
-        lead_s = self._lead_s if variable is ControlVariable.POSITION else 0.0
+    def _rates(self, at_s: float) -> tuple[float, float]:
+        course = self._course
+        if at_s >= course.duration_s:
+            return 0.0, 0.0
+        return course.first(at_s), course.second(at_s)
+
+    def _to_rest(self, deceleration: float, measured: tuple[float, float]) -> Course:
+        position, velocity = self.now(ControlVariable.POSITION, measured)
+        ramps = Ramps(velocity, 0.0, deceleration, deceleration)
+        return Course(
+            lambda at_s: ramps.integral(at_s, position),
+            lambda at_s: (ramps.at(at_s) or (0.0, 0.0))[0],
+            lambda at_s: (ramps.at(at_s) or (0.0, 0.0))[1],
+            ramps.duration_s,
+        )
+
+    def _begin(self, variable: ControlVariable, course: Course) -> None:
         self.cancel()
         self._course, self._began_ns = course, self._drive.runtime.now_ns()
-        self.variable = variable
-        self._stream = SetpointStream(
-            self._drive,
-            lambda at_s: value(min(at_s + lead_s, duration_s)),
-            *(duration_s, self._period_s, send),
-        )
-        return self._stream.begin()
+        self.variable, self._stream = variable, None
+
+    def _follow(self, variable: ControlVariable, course: Course, send: SendSetpoint) -> "SentFrame":
+        duration_s = course.duration_s
+        lead_s = self._lead_s if variable is ControlVariable.POSITION else 0.0
+
+        def value(at_s: float) -> float:
+            self._sampled_s = min(at_s + lead_s, duration_s)
+            return course.value(self._sampled_s)
+
+        before = self._course, self._began_ns, self.variable, self._stream
+        self._begin(variable, course)
+        self._stream = SetpointStream(self._drive, value, duration_s, self._period_s, send)
+        try:
+            return self._stream.begin()
+        except BaseException:  # a motion that is refused is not kept
+            self._course, self._began_ns, self.variable, self._stream = before
+            raise
+
+
+def _constant(value: float) -> Course:
+    return Course(lambda at_s: value, lambda at_s: 0.0, lambda at_s: 0.0, 0.0)
 
 
 def _ramp(motion: "Motion", value: float, scale: float) -> Course:
@@ -172,8 +222,12 @@ def _ramp(motion: "Motion", value: float, scale: float) -> Course:
         up, down = motion.acceleration, motion.deceleration
     ramps = Ramps(value / scale, motion.target, up, down)
 
-    def demand(at_s: float) -> float:
-        on_ramp = ramps.at(at_s)
-        return (motion.target if on_ramp is None else on_ramp[0]) * scale
+    def at(at_s: float) -> tuple[float, float]:
+        return ramps.at(at_s) or (motion.target, 0.0)
 
-    return demand, ramps.duration_s
+    return Course(
+        lambda at_s: at(at_s)[0] * scale,
+        lambda at_s: at(at_s)[1] * scale,
+        lambda at_s: 0.0,
+        ramps.duration_s,
+    )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.motion import Motion
     from motorhil.motorapi.ownership.fencing import BoundFence
     from motorhil.motorapi.runtime.can_link import Transmission
-    from motorhil.motorapi.state import Fault
+    from motorhil.motorapi.state import Fault, Measurement
     from motorhil.motorapi.synchronization.offer import SyncOffer
     from motorhil.motorapi.synchronization.quality import MotionTimes
     from motorhil.motorapi.trajectory import Trajectory
@@ -46,6 +46,9 @@ class StreamedHardware(Protocol):
     def connect(self) -> None:
         """Wait until the drive is heard; free if it is."""
 
+    def measurement(self, units: float) -> "Measurement | None":
+        """Return the last measurement, with so many units of the drive per unit of the model."""
+
     def measured(self) -> tuple[float, float]:
         """Return position and velocity, extrapolated to the present."""
 
@@ -69,6 +72,9 @@ HardwareT = TypeVar("HardwareT", bound=StreamedHardware)
 
 class StreamedMotor(CanMotor[HardwareT]):
     """A logical motor whose motions the host streams; see `CanMotor`."""
+
+    def _latest(self) -> "Measurement | None":
+        return self.hardware.measurement(self._units)
 
     def _scale(self, variable: ControlVariable) -> float:
         """Return units of the drive per unit of this variable."""

@@ -1,7 +1,7 @@
 """The emulated drive. Write it from the drive's manual, never from `host`.
 
 Replace it in the order of the numbers. The motor on the shaft, with servo, plant and encoder, is
-motorhil's (`axis_of`).
+motorhil's (`axis`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,17 +11,14 @@ from typing import Final, final
 
 from motorhil.emulators.api import (
     REQUIRED,
+    CanMotorDrive,
     ControllerContext,
-    MotorDrive,
     MotorTable,
     amount,
-    axis_of,
-    can_id_of,
-    data_of,
     drive_builder,
     flags,
+    ns,
     number,
-    pack,
     positive,
     whole,
 )
@@ -52,34 +49,32 @@ class DriveTable(MotorTable):
 
 
 @final
-class MydriveController(MotorDrive):
+class MydriveController(CanMotorDrive):
     """Implements `motorhil.emulators.api.Controller`; times are int ns."""
 
     def __init__(self, settings: DriveTable, context: ControllerContext) -> None:
         motor = settings.motor(context.stream())
         self._settings = settings
-        super().__init__(axis_of(motor, motor.oscillator.rate()), range(1, 1 << 16))
+        super().__init__(motor, range(1, 1 << 16))
         self._inc = motor.plant.encoder_increments_rev
         self._is_on = False
         self._count = self._fault = 0
         self._velocity = self._faster = self._slower = 1.0  # [turns/s, turns/s²]
 
-    # 3. Time: what the drive does by itself, and when. `due_ns` has its times by name.
+    # 3. Time: what the drive does by itself, and when: `wake` calls a method after some time.
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
         self.axis.set_position(self.axis.count())
-        self.due_ns["status"] = now_ns + round(self._settings.boot_up_s * 1e9)
+        self.due_ns[self._tell] = now_ns + ns(self._settings.boot_up_s)
 
-    def expire(self, now_ns: int) -> None:
-        """Send status and estimate; stop without a host."""
-        self.advance(now_ns)
-        if self.is_due("watchdog"):
-            self._fault = 3
-            self.axis.ramp_to_rest(self._slower * self._inc)
-        if not self.is_due("status"):
-            return
-        self.due_ns["status"] = now_ns + round(self._settings.period_s * 1e9)
+    def _miss_host(self) -> None:
+        self._fault = 3
+        self.axis.ramp_to_rest(self._slower * self._inc)
+
+    def _tell(self) -> None:
+        """Send status and estimate."""
+        self.wake(self._tell, ns(self._settings.period_s))
         axis = self.axis
         behind = abs(axis.following_error_inc()) / self._inc
         if self._is_on and not self._fault and behind > self._settings.following_error_rev:
@@ -91,29 +86,27 @@ class MydriveController(MotorDrive):
         state = 2 if self._fault else int(self._is_on)
         scale = _UNITS / self._inc
         where = round(axis.position_inc() * scale), round(axis.velocity_inc_s() * scale)
-        self._send(0x180, _TOLD.pack(state, self._count, is_moving, 0, self._fault))
-        self._send(0x280, _WHERE.pack(*where))
+        node_id = self._settings.node_id
+        self.send(0x180 + node_id, _TOLD.pack(state, self._count, is_moving, 0, self._fault))
+        self.send(0x280 + node_id, _WHERE.pack(*where))
 
     # 4. Frames to the drive.
 
-    def receive(self, data: bytes, now_ns: int) -> None:
+    def hear(self, can_id: int, data: bytes) -> None:
         """Handle a frame from the bus."""
-        if not self.is_powered:
-            return
-        self.advance(now_ns)
-        if "watchdog" in self.due_ns:
+        if self._miss_host in self.due_ns:
             self._feed()
-        kind, payload = can_id_of(data) - self._settings.node_id, data_of(data)
-        if kind == 0x200 and len(payload) == _ORDER.size:
-            code, self._count, _, target = _ORDER.unpack(payload)
+        kind = can_id - self._settings.node_id
+        if kind == 0x200 and len(data) == _ORDER.size:
+            code, self._count, _, target = _ORDER.unpack(data)
             self._obey(code, target)
-        elif kind == 0x300 and len(payload) == _WORD.size:
-            self._velocity = max(1, _WORD.unpack(payload)[0]) / _UNITS
-        elif kind == 0x380 and len(payload) == _TWO_WORDS.size:
-            faster, slower = _TWO_WORDS.unpack(payload)
+        elif kind == 0x300 and len(data) == _WORD.size:
+            self._velocity = max(1, _WORD.unpack(data)[0]) / _UNITS
+        elif kind == 0x380 and len(data) == _TWO_WORDS.size:
+            faster, slower = _TWO_WORDS.unpack(data)
             self._faster, self._slower = max(1, faster) / _UNITS, max(1, slower) / _UNITS
         elif kind != 0x400:
-            self.warn(f"frame {data.hex()} is not understood")
+            self.warn(f"frame {can_id:03X}h with {data.hex()} is not understood")
 
     def _obey(self, code: int, target: int) -> None:
         if code == 0:
@@ -139,15 +132,12 @@ class MydriveController(MotorDrive):
     def _switch(self, *, on: bool) -> None:
         if on != self._is_on:
             self._is_on = on
-            self.due_ns.pop("watchdog", None)
+            self.wake(self._miss_host, 0)
             self.axis.power(on)
 
     def _feed(self) -> None:
         """Begin the time anew after which the drive stops without its host."""
-        self.wake("watchdog", round(self._settings.watchdog_s * 1e9))
-
-    def _send(self, kind: int, data: bytes) -> None:
-        self.queue(pack(kind + self._settings.node_id, data))
+        self.wake(self._miss_host, ns(self._settings.watchdog_s))
 
     # 5. Physical inputs, for tests and faults of rigs, and true values of the drive's own.
 

@@ -17,7 +17,6 @@ Positions are in 1/65536 turn of the motor, velocities and accelerations in that
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from struct import Struct
 from typing import ClassVar, Final, NamedTuple, final
@@ -29,14 +28,12 @@ from motorhil.motorapi.api import (
     CanMotor,
     Estimate,
     Fault,
-    LinkError,
     Measurement,
     Motion,
     MotorModel,
     MotorState,
     Options,
     PeerError,
-    PeriodicMessage,
     SentFrame,
     UsageError,
     adaptation,
@@ -122,18 +119,17 @@ class MydriveHwMotor(CanHardware[DriveOptions]):
         self.drive.handle(STATUS + self.node_id, self._on_status)
         self.drive.handle(ESTIMATE + self.node_id, self._on_estimate)
         self.drive.handle(COMMAND + self.node_id, self._on_foreign_command)
-        self.drive.every(_ALIVE_S, self._feed)
+        self.drive.repeat(_ALIVE_S, self._feed)
+        self.drive.starts_by(COMMAND + self.node_id, _COMMAND.size)
 
     def _knows(self) -> bool:
         return self.status is not None and self.estimate is not None
 
     def _connected(self) -> None:
-        self.drive.note_traffic(
-            (
-                PeriodicMessage(STATUS + self.node_id, _STATUS.size, PERIOD_S),
-                PeriodicMessage(ESTIMATE + self.node_id, _ESTIMATE.size, PERIOD_S),
-            ),
-            (PeriodicMessage(ALIVE + self.node_id, 0, _ALIVE_S),),
+        own = self.node_id
+        self.drive.note_frames(
+            [(STATUS + own, _STATUS.size, PERIOD_S), (ESTIMATE + own, _ESTIMATE.size, PERIOD_S)],
+            [(ALIVE + own, 0, _ALIVE_S)],
         )
 
     def _rests(self) -> bool:
@@ -222,13 +218,11 @@ class MydriveHwMotor(CanHardware[DriveOptions]):
             self._estimates.came(time_ns)
 
     def _on_foreign_command(self, data: bytes, time_ns: int) -> None:
-        self.forget()
-        self.drive.overheard(f"command {data[:1].hex()}h", time_ns)
+        self.overheard(f"command {data[:1].hex()}h", time_ns)
 
     def _feed(self) -> None:
-        if self._feeds and not self.drive.status.is_off:
-            with suppress(LinkError):
-                self.drive.request(ALIVE + self.node_id)
+        if self._feeds:
+            self.drive.request(ALIVE + self.node_id)
 
 
 @final

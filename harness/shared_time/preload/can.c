@@ -22,7 +22,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-enum { RECORD_OPEN = 17, RECORD_CLOSE, RECORD_SEND, RECORD_OPENED = 34 };
+enum { RECORD_OPEN = 17, RECORD_CLOSE, RECORD_SEND, RECORD_PORT = 29, RECORD_OPENED = 34 };
+enum { QUIET = 1, OTHERS = 2 }; /* flags of a port: frames are kept; own ones are of no use */
 enum { PORTS_MAX = 256, FILTERS_MAX = 512, FIRST_INDEX = 101, ALL_BUSES = 0 };
 
 struct __attribute__((packed)) ported {
@@ -53,11 +54,11 @@ struct can_socket {
     uint32_t lost;
 };
 
-static struct {
-    struct can_socket *socket;
+static struct port {
+    struct can_socket *socket; /* NULL: not open */
+    uint16_t number;           /* the rig's */
     int bus;
-} ports[PORTS_MAX]; /* by the rig's number */
-static int port_count;
+} ports[PORTS_MAX];
 
 static struct can_socket *can_of(int fd)
 {
@@ -155,37 +156,48 @@ int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known)
 
 /* ---- ports ----------------------------------------------------------------------------------- */
 
-static int open_port(struct can_socket *socket, int bus)
+/* Tell the rig what the program does with the frames of a port, so that it calls less often. */
+static void tell_use(const struct port *port)
+{
+    uint8_t flags = QUIET | (port->socket->hears_own ? 0 : OTHERS);
+    struct ported record = {RECORD_PORT, port->number, {flags}};
+    hold_record(&record, offsetof(struct ported, data) + 1);
+}
+
+static struct port *open_port(struct can_socket *socket, int bus)
 {
     struct ported record = {.kind = RECORD_OPEN, .port = rig.buses[bus].is_fd};
     size_t size = strlen(rig.buses[bus].name);
-    if (port_count == PORTS_MAX) return failed(ENOBUFS);
+    struct port *port = ports;
+    while (port < ports + PORTS_MAX && port->socket) port++;
+    if (port == ports + PORTS_MAX) {
+        errno = ENOBUFS;
+        return NULL;
+    }
     memcpy(record.data, rig.buses[bus].name, size);
     send_record(&record, offsetof(struct ported, data) + size);
     receive_record((uint8_t *)&record, sizeof record);
-    if (record.kind != RECORD_OPENED || record.port >= PORTS_MAX)
-        refuse("%s: not opened by the rig", rig.buses[bus].name);
-    ports[record.port].socket = socket;
-    ports[record.port].bus = bus;
-    port_count = record.port + 1;
-    return record.port;
+    if (record.kind != RECORD_OPENED) refuse("%s: not opened by the rig", rig.buses[bus].name);
+    *port = (struct port){socket, record.port, bus};
+    tell_use(port);
+    return port;
 }
 
 static void close_ports(struct can_socket *socket)
 {
-    for (int port = 0; port < port_count; port++) {
-        struct ported record = {.kind = RECORD_CLOSE, .port = port};
-        if (ports[port].socket != socket) continue;
-        ports[port].socket = NULL;
+    for (struct port *port = ports; port < ports + PORTS_MAX; port++) {
+        struct ported record = {.kind = RECORD_CLOSE, .port = port->number};
+        if (port->socket != socket) continue;
+        port->socket = NULL;
         if (rig.state == JOINED) send_record(&record, offsetof(struct ported, data));
     }
 }
 
 /* Return the port of a socket on a bus; it is opened for a socket that sends without bind(). */
-static int port_on(struct can_socket *socket, int bus)
+static struct port *port_on(struct can_socket *socket, int bus)
 {
-    for (int port = 0; port < port_count; port++)
-        if (ports[port].socket == socket && ports[port].bus == bus) return port;
+    for (struct port *port = ports; port < ports + PORTS_MAX; port++)
+        if (port->socket == socket && port->bus == bus) return port;
     return open_port(socket, bus);
 }
 
@@ -212,10 +224,19 @@ static bool passes(const struct can_socket *socket, canid_t id)
     return socket->joins_filters ? matches == socket->filter_count : matches != 0;
 }
 
-void hear(unsigned port, int64_t time_ns, bool is_transmitted, bool is_error, const void *frame,
+/* Return the open port of this number, or NULL. */
+static const struct port *port_of(unsigned number)
+{
+    for (const struct port *port = ports; port < ports + PORTS_MAX; port++)
+        if (port->socket && port->number == number) return port;
+    return NULL;
+}
+
+void hear(unsigned number, int64_t time_ns, bool is_transmitted, bool is_error, const void *frame,
           size_t size)
 {
-    struct can_socket *socket = port < PORTS_MAX ? ports[port].socket : NULL;
+    const struct port *port = port_of(number);
+    struct can_socket *socket = port ? port->socket : NULL;
     struct heard heard = {.time_ns = time_ns};
     canid_t id;
     (void)is_error; /* its identifier says so */
@@ -223,7 +244,7 @@ void hear(unsigned port, int64_t time_ns, bool is_transmitted, bool is_error, co
     memcpy(&id, frame, sizeof id);
     if ((is_transmitted && !socket->hears_own) || (size == CANFD_MTU && !socket->has_fd)) return;
     if (!passes(socket, id)) return;
-    heard.index = FIRST_INDEX + ports[port].bus;
+    heard.index = FIRST_INDEX + port->bus;
     heard.flags = is_transmitted ? MSG_DONTROUTE | MSG_CONFIRM : 0;
     memcpy(heard.frame, frame, size);
     if (REAL(send)(socket->descriptor.inner, &heard, HEARD_HEAD + size,
@@ -231,7 +252,7 @@ void hear(unsigned port, int64_t time_ns, bool is_transmitted, bool is_error, co
         return;
     if (!socket->lost++)
         tell("program '%s': a socket on %s is full; frames are lost, as in the kernel", rig.name,
-             rig.buses[ports[port].bus].name);
+             rig.buses[port->bus].name);
 }
 
 /* Take the next frame out of the pair; wait for it if the socket blocks. Return its size. */
@@ -342,9 +363,9 @@ ssize_t can_send(int fd, const void *data, size_t size, const void *address, siz
     if (!bus) return failed(ENXIO);
     if (size != CAN_MTU && (size != CANFD_MTU || !socket->has_fd || !bus->is_fd))
         return failed(EINVAL);
-    int port = port_on(socket, index - FIRST_INDEX);
-    if (port < 0) return -1;
-    struct ported record = {.kind = RECORD_SEND, .port = port};
+    const struct port *port = port_on(socket, index - FIRST_INDEX);
+    if (!port) return -1;
+    struct ported record = {.kind = RECORD_SEND, .port = port->number};
     memcpy(record.data, data, size);
     send_record(&record, offsetof(struct ported, data) + size);
     return size;
@@ -413,7 +434,7 @@ EXPORT int bind(int fd, const struct sockaddr *address, socklen_t size)
     socket->is_bound = true;
     for (int bus = 0; bus < rig.bus_count; bus++)
         if (socket->index == ALL_BUSES || socket->index == FIRST_INDEX + bus)
-            if (open_port(socket, bus) < 0) return -1;
+            if (!open_port(socket, bus)) return -1;
     return 0;
 }
 
@@ -456,7 +477,11 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
     memcpy(&number, value, sizeof number);
     if (level == SOL_CAN_RAW) switch (option) {
         case CAN_RAW_ERR_FILTER: socket->error_mask = number & CAN_ERR_MASK; return 0;
-        case CAN_RAW_RECV_OWN_MSGS: socket->hears_own = number; return 0;
+        case CAN_RAW_RECV_OWN_MSGS:
+            socket->hears_own = number;
+            for (struct port *port = ports; port < ports + PORTS_MAX; port++)
+                if (port->socket == socket) tell_use(port);
+            return 0;
         case CAN_RAW_FD_FRAMES: socket->has_fd = number; return 0;
         case CAN_RAW_JOIN_FILTERS: socket->joins_filters = number; return 0;
         case CAN_RAW_LOOPBACK:

@@ -113,6 +113,7 @@ bool in_rig(void);
 void require_open_rig(void);
 void join_rig(void);
 void leave_rig(void);
+void hold_record(const void *record, size_t size);
 void send_record(const void *record, size_t size);
 size_t receive_record(uint8_t *record, size_t size);
 void name_party(uint16_t party);

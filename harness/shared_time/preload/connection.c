@@ -24,17 +24,20 @@
 #error "the records of a rig are little-endian"
 #endif
 
-enum { VERSION = 1, RECORD_MAX = 65536, WELCOME_S = 12 };
+enum { VERSION = 2, RECORD_MAX = 65536, WELCOME_S = 12 };
 enum {
-    RECORD_JOIN = 16,
+    RECORD_BATCH = 15,
+    RECORD_JOIN,
     RECORD_PARTY = 23,
     RECORD_WAIT,
     RECORD_WITHDRAW,
     RECORD_IDLE,
-    RECORD_LEAVE
+    RECORD_LEAVE,
+    RECORD_TAKEN = 30
 };
+enum { DEAF = 4 }; /* a wait that no frame ends */
 enum { RECORD_WELCOME = 32, RECORD_REFUSED, RECORD_HEARD = 35, RECORD_TOLD, RECORD_EXPIRED };
-enum { RECORD_CHECK = 38, RECORD_GRANT };
+enum { RECORD_CHECK = 38, RECORD_GRANT, RECORD_TRY = 41 };
 
 struct __attribute__((packed)) numbered {
     uint8_t kind;
@@ -129,13 +132,45 @@ void refuse(const char *text, ...)
 
 /* ---- records --------------------------------------------------------------------------------- */
 
-void send_record(const void *record, size_t size)
+static struct {
+    uint8_t batch[4096]; /* records that go with the next one, each after its length */
+    size_t size;
+} held;
+
+static void send_message(const void *message, size_t size)
 {
-    while (REAL(send)(rig.fd, record, size, MSG_NOSIGNAL) < 0)
+    while (REAL(send)(rig.fd, message, size, MSG_NOSIGNAL) < 0)
         if (errno != EINTR) {
             rig.state = LEFT;
             refuse("the rig has ended, and with it the time of this program");
         }
+}
+
+static void send_held(void)
+{
+    size_t size = held.size;
+    held.size = 0;
+    if (size) send_message(held.batch, size);
+}
+
+/* Send a record together with the next one. */
+void hold_record(const void *record, size_t size)
+{
+    uint16_t length = size;
+    if (held.size + sizeof length + size > sizeof held.batch) send_held();
+    if (!held.size) held.batch[held.size++] = RECORD_BATCH;
+    memcpy(held.batch + held.size, &length, sizeof length);
+    memcpy(held.batch + held.size + sizeof length, record, size);
+    held.size += sizeof length + size;
+}
+
+void send_record(const void *record, size_t size)
+{
+    if (held.size) {
+        hold_record(record, size);
+        send_held();
+    } else
+        send_message(record, size);
 }
 
 size_t receive_record(uint8_t *record, size_t size)
@@ -151,23 +186,24 @@ size_t receive_record(uint8_t *record, size_t size)
     return received;
 }
 
-static void send_text(uint8_t kind, uint16_t number, const char *text)
+/* Return the size of a record of a number and a text. */
+static size_t pack_text(uint8_t record[128], uint8_t kind, uint16_t number, const char *text)
 {
-    uint8_t record[128];
     struct numbered *head = (struct numbered *)record;
     head->kind = kind;
     head->number = number;
-    size_t size = strlen(text);
-    if (size > sizeof record - sizeof *head) size = sizeof record - sizeof *head;
+    size_t size = strlen(text), most = 128 - sizeof *head;
+    if (size > most) size = most;
     memcpy(head->text, text, size);
-    send_record(record, sizeof *head + size);
+    return sizeof *head + size;
 }
 
 void name_party(uint16_t party)
 {
     char name[32];
+    uint8_t record[128];
     snprintf(name, sizeof name, "thread %u", party);
-    send_text(RECORD_PARTY, party, party ? name : "main");
+    hold_record(record, pack_text(record, RECORD_PARTY, party, party ? name : "main"));
 }
 
 /* ---- joining and leaving --------------------------------------------------------------------- */
@@ -218,7 +254,7 @@ void join_rig(void)
         refuse("%s: cannot join the rig: %s", rig.path, strerror(errno));
     }
     REAL(setsockopt)(rig.fd, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
-    send_text(RECORD_JOIN, VERSION, rig.name);
+    send_record(record, pack_text(record, RECORD_JOIN, VERSION, rig.name));
     ssize_t size = REAL(recv)(rig.fd, record, sizeof record - 1, 0);
     record[size > 0 ? size : 0] = 0;
     struct welcome *welcome = (struct welcome *)record;
@@ -241,7 +277,8 @@ void leave_rig(void)
     uint8_t record = RECORD_LEAVE;
     if (rig.state != JOINED || getpid() != rig.pid) return; /* not of a child by vfork */
     rig.state = LEFT;
-    REAL(send)(rig.fd, &record, 1, MSG_NOSIGNAL);
+    hold_record(&record, sizeof record);
+    REAL(send)(rig.fd, held.batch, held.size, MSG_NOSIGNAL);
     REAL(close)(rig.fd);
 }
 
@@ -334,9 +371,10 @@ void begin_wait(struct wait *wait, int64_t deadline_ns, int flags)
     wait->next = NULL;
     wait->number = rig.next_wait++;
     wait->is_cancellable = flags & CANCELLABLE;
-    struct waiting record = {RECORD_WAIT, wait->number, wait->thread->party, flags & ON_PARTIES,
-                             deadline_ns};
-    send_record(&record, sizeof record);
+    bool is_deaf = flags & ON_PARTIES || wait->holds == never;
+    struct waiting record = {RECORD_WAIT, wait->number, wait->thread->party,
+                             (flags & ON_PARTIES) | (is_deaf ? DEAF : 0), deadline_ns};
+    hold_record(&record, sizeof record);
 }
 
 static struct wait *take_wait(uint32_t number)
@@ -355,7 +393,7 @@ void end_wait(struct wait *wait)
 {
     struct counted record = {RECORD_WITHDRAW, wait->number};
     take_wait(wait->number);
-    send_record(&record, sizeof record);
+    hold_record(&record, sizeof record);
 }
 
 /* Return whether another thread of the program has ended the wait of this one. */
@@ -364,51 +402,108 @@ static bool is_disturbed(const struct thread *thread)
     return thread->is_cancelled || thread->is_interrupted;
 }
 
-static void send_idle(void)
+/* Return the number of the first wait that has ended, or 0. */
+static uint32_t first_ready(void)
 {
-    struct counted record = {RECORD_IDLE, 0};
-    for (struct wait *wait = rig.waits; wait && !record.number; wait = wait->next)
+    for (struct wait *wait = rig.waits; wait; wait = wait->next)
         if (wait->holds(wait->subject) || (wait->is_cancellable && is_disturbed(wait->thread)))
-            record.number = wait->number;
+            return wait->number;
+    return 0;
+}
+
+static void send_idle(uint32_t ready)
+{
+    struct counted record = {RECORD_IDLE, ready};
     send_record(&record, sizeof record);
+}
+
+/* Take the turn, if the frames before this record have ended the wait that it asks for. */
+static struct wait *try_wait(const struct period *asked)
+{
+    uint8_t taken = RECORD_TAKEN;
+    uint32_t ready = first_ready();
+    if (ready != asked->number) {
+        send_idle(ready);
+        return NULL;
+    }
+    hold_record(&taken, sizeof taken);
+    struct wait *wait = take_wait(ready);
+    wait->result = HOLDS;
+    return wait;
+}
+
+static struct wait *granted(const struct turn *turn)
+{
+    struct wait *wait = take_wait(turn->wait);
+    if (!wait) {
+        send_idle(first_ready());
+        return NULL;
+    }
+    wait->result = turn->result;
+    snprintf(rig.reason, sizeof rig.reason, "%s", turn->reason);
+    return wait;
+}
+
+/* Serve a record of the rig; return true if it asks for an answer of its own. */
+static bool serve(uint8_t *record, size_t size, struct wait **wait)
+{
+    struct delivery *delivery = (struct delivery *)record;
+    struct period *period = (struct period *)record;
+    struct turn *turn = (struct turn *)record;
+    switch (record[0]) {
+    case RECORD_HEARD:
+    case RECORD_TOLD:
+        rig.now_ns = delivery->time_ns;
+        if (hear_line(delivery->port, delivery->time_ns, delivery->is_transmitted, delivery->frame,
+                      size - sizeof *delivery))
+            return false;
+        hear(delivery->port, delivery->time_ns, delivery->is_transmitted, record[0] == RECORD_TOLD,
+             delivery->frame, size - sizeof *delivery);
+        return false;
+    case RECORD_EXPIRED:
+        rig.now_ns = period->time_ns;
+        expire_timer(period->number);
+        return false;
+    case RECORD_CHECK: rig.now_ns = ((struct call *)record)->time_ns; return false;
+    case RECORD_TRY:
+        rig.now_ns = period->time_ns;
+        *wait = try_wait(period);
+        return true;
+    case RECORD_GRANT:
+        rig.now_ns = turn->time_ns;
+        *wait = granted(turn);
+        return true;
+    default:
+        refuse("record %u of the rig: unknown; expected the same version on both sides", record[0]);
+    }
+}
+
+/* Serve the records of a message; return whether the last one has been answered. */
+static bool serve_message(uint8_t *message, size_t size, struct wait **wait)
+{
+    bool is_answered = false;
+    if (message[0] != RECORD_BATCH) return serve(message, size, wait);
+    for (size_t at = 1; at + sizeof(uint16_t) < size;) {
+        uint16_t length;
+        memcpy(&length, message + at, sizeof length);
+        at += sizeof length;
+        is_answered = serve(message + at, length, wait);
+        at += length;
+    }
+    return is_answered;
 }
 
 /* Give the turn back; serve the rig's calls until a wait of this program has ended; return it. */
 static struct wait *next_turn(void)
 {
-    static uint8_t record[RECORD_MAX]; /* of the one thread that serves the rig */
+    static uint8_t message[RECORD_MAX + 1]; /* of the thread that has the turn */
+    struct wait *wait = NULL;
+    send_idle(first_ready());
     for (;;) {
-        send_idle();
-        size_t size = receive_record(record, sizeof record);
-        struct delivery *delivery = (struct delivery *)record;
-        struct period *period = (struct period *)record;
-        struct turn *turn = (struct turn *)record;
-        switch (record[0]) {
-        case RECORD_HEARD:
-        case RECORD_TOLD:
-            rig.now_ns = delivery->time_ns;
-            if (hear_line(delivery->port, delivery->time_ns, delivery->is_transmitted,
-                          delivery->frame, size - sizeof *delivery))
-                break;
-            hear(delivery->port, delivery->time_ns, delivery->is_transmitted,
-                 record[0] == RECORD_TOLD, delivery->frame, size - sizeof *delivery);
-            break;
-        case RECORD_EXPIRED:
-            rig.now_ns = period->time_ns;
-            expire_timer(period->number);
-            break;
-        case RECORD_CHECK: rig.now_ns = ((struct call *)record)->time_ns; break;
-        case RECORD_GRANT:
-            rig.now_ns = turn->time_ns;
-            struct wait *wait = take_wait(turn->wait);
-            if (!wait) break;
-            wait->result = turn->result;
-            snprintf(rig.reason, sizeof rig.reason, "%.2000s", turn->reason);
-            return wait;
-        default:
-            refuse("record %u of the rig: unknown; expected the same version on both sides",
-                   record[0]);
-        }
+        size_t size = receive_record(message, sizeof message);
+        bool is_answered = serve_message(message, size, &wait);
+        if (wait) return wait;
+        if (!is_answered) send_idle(first_ready());
     }
 }
 

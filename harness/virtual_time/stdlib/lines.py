@@ -205,7 +205,7 @@ class _End:
         runtime = self.runtime
         left_ns = self._silences_ns.get(self.bus.name, 0) - runtime.now_ns()
         if left_ns > 0:
-            runtime.wait_until(lambda: False, left_ns / 1e9)
+            runtime.run_for(left_ns / 1e9)
 
     def _pass_on(self) -> None:
         """Write what the program has not read to its end, as far as there is space."""
@@ -613,7 +613,7 @@ def _await_sent(end: _End, fd: int) -> None:
     runtime = end.runtime
     left_ns = end.free_ns - runtime.now_ns()
     if left_ns > 0:
-        runtime.wait_until(lambda: False, left_ns / 1e9)
+        runtime.run_for(left_ns / 1e9)
 
 
 def _flush(end: _End, fd: int, queue: int) -> None:

@@ -16,8 +16,6 @@ between parameters and start, users' clients.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
-from math import floor
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.dryve.telegrams import (
@@ -31,18 +29,17 @@ from motorhil.motorapi.adaptations.dryve.telegrams import (
 from motorhil.motorapi.api import (
     BOOT_S,
     ByteLine,
-    ControlVariable,
     DeadlineExceeded,
     ExchangeLine,
-    LimitError,
     LineUnit,
-    Motion,
-    MotorState,
+    Numbers,
     PeerError,
     Poll,
     PolledHardware,
+    PolledStatus,
     StateError,
     UnsupportedError,
+    require_within,
 )
 
 if TYPE_CHECKING:
@@ -69,7 +66,6 @@ _CYCLE_NS: Final = 10_000_000
 _STEP_S: Final = 1.0  # for a state or a mode to follow
 _INT32_MAX: Final = 2**31 - 1
 _UINT32_MAX: Final = 0xFFFF_FFFF
-_ROUNDING: Final = 1e-9
 VELOCITY_UNITS: Final = ("position", "rpm")
 _ERRORS: Final = {
     0x2310: "over-current",
@@ -184,10 +180,10 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         self._range = registers.read(_LOWEST), registers.read(_HIGHEST)
         return feed / gear
 
-    def _rate(self, model: "MotorModel") -> float:
-        """Return the drive's own number for 1 U/s."""
-        per_unit = abs(self._per_unit(model))
-        return per_unit if self.velocity_unit == "position" else per_unit / self._counts * 6000.0
+    def _rates(self, model: "MotorModel") -> tuple[float, float]:
+        rate = abs(self._per_unit(model))
+        rate = rate if self.velocity_unit == "position" else rate / self._counts * 6000.0
+        return rate, rate
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -211,20 +207,18 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         has_arrived = is_on and not is_moving and acknowledged
         at_target = has_arrived and mode == _PP and not halted and command & _START
         position, demand = self._continued(raw, target if at_target else raw)
-        self._stop_again(is_moving)
-        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
-        state = state if is_on else MotorState.DISABLED
-        return Poll(
+        told = PolledStatus(
             time_ns=time_ns,
-            state=MotorState.FAULT if fault is not None else state,
             fault=fault,
-            position=position / per_unit,
-            demand=demand / per_unit,
-            velocity=way * speed / self._rate(model),
+            is_on=is_on,
+            position=position,
+            demand=demand,
+            velocity=way * speed / self._rates(model)[0],
             is_moving=is_moving,
             has_arrived=has_arrived,
             at_velocity=is_on and reached,
         )
+        return self._poll_of(told, model)
 
     def _note_homing(self, mode: int, status: int, is_on: bool) -> None:
         if mode == _HM or not is_on:  # else bit 12 acknowledges a set-point
@@ -319,53 +313,23 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
 
     # --- motion -----------------------------------------------------------------------------------
 
-    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """Return the motion in the drive's resolution."""
-        rate, per_unit = self._rate(model), self._per_unit(model)
-        changed = replace(
-            motion,
-            acceleration=_whole(motion.acceleration * rate) / rate,
-            deceleration=_whole(motion.deceleration * rate) / rate,
-        )
-        if motion.variable is ControlVariable.VELOCITY:
-            size = floor(abs(motion.target) * rate + _ROUNDING) / rate
-            return replace(changed, target=size if motion.target > 0 else -size)
-        velocity = _whole(motion.velocity * rate) / rate
-        return replace(
-            changed, velocity=velocity, target=round(motion.target * per_unit) / per_unit
-        )
-
-    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+    def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
         """Write the parameters of a motion; a running one goes on."""
-        self.connect(model)
-        self._recounts = False
-        rate, per_unit, registers = self._rate(model), self._per_unit(model), self.registers
+        counts, speed, faster, slower = numbers
+        registers = self.registers
         command, mode = registers.read(_CONTROLWORD), registers.read(_MODE_DISPLAY)
         if command & _START:
             registers.write(_CONTROLWORD, command & ~(_START | _AT_ONCE))
-        values = {
-            _FASTER: _whole(motion.acceleration * rate),
-            _SLOWER: _whole(motion.deceleration * rate),
-        }
-        if motion.variable is ControlVariable.VELOCITY:
-            size = floor(abs(motion.target) * rate + _ROUNDING)
-            if size > _INT32_MAX:
-                raise LimitError(
-                    motor=self.label,
-                    quantity="velocity",
-                    value=size,
-                    low=-_INT32_MAX,
-                    high=_INT32_MAX,
-                    unit="drive units",
-                    reason="the range of 60FFh",
-                )
-            speed = size if motion.target * per_unit > 0 else -size
+        values = {_FASTER: faster, _SLOWER: slower}
+        if counts is None:
+            reason = "the range of 60FFh"
+            limits = -_INT32_MAX, _INT32_MAX
+            require_within(self.label, "velocity", speed, limits, "drive units", reason)
             starts = [(_TARGET_VELOCITY, speed)]
             starts += [(_MODE, _PV)] if mode != _PV else []
             starts += [(_CONTROLWORD, _ENABLE)] if command & _HALT else []
         else:
-            values[_TARGET] = self._allowed(round(motion.target * per_unit))
-            values[_PROFILE_VELOCITY] = _whole(motion.velocity * rate)
+            values |= {_TARGET: self._allowed(counts), _PROFILE_VELOCITY: speed}
             starts = [(_MODE, _PP)] if mode != _PP else []
             starts.append((_CONTROLWORD, _ENABLE | _START | _AT_ONCE))
         for what, value in values.items():
@@ -375,7 +339,6 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
                 self._told[what] = told
         self._wait_a_cycle(self.runtime.now_ns())
         self._starts = tuple(starts)
-        self._stop = None
 
     def _allowed(self, counts: int) -> int:
         """Return the drive's own number for a target.
@@ -384,16 +347,9 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
             LimitError: the drive would ignore it without a message.
         """
         target, (low, high) = self._target(counts, "counts"), self._range
-        if low < high and not low <= target <= high:
-            raise LimitError(
-                motor=self.label,
-                quantity="position",
-                value=target,
-                low=low,
-                high=high,
-                unit="counts",
-                reason="607Bh, the available stroke: the drive would not move",
-            )
+        if low < high:
+            reason = "607Bh, the available stroke: the drive would not move"
+            require_within(self.label, "position", target, (low, high), "counts", reason)
         return target
 
     def forget(self) -> None:
@@ -411,8 +367,3 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
 
     def _post_stop(self) -> "Exchange[Request, bytes]":
         return self.registers.post_request(written(_CONTROLWORD, _ENABLE | _HALT))
-
-
-def _whole(value: float) -> int:
-    """Return the drive's number that does not exceed this one, at least 1."""
-    return max(1, min(_UINT32_MAX, floor(value + _ROUNDING)))

@@ -15,8 +15,6 @@ Source: the maker's manuals of the X series.
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
-from math import floor
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.motorapi.adaptations.dynamixel.packets import (
@@ -34,19 +32,18 @@ from motorhil.motorapi.adaptations.dynamixel.packets import (
 from motorhil.motorapi.api import (
     BOOT_S,
     ByteLine,
-    ControlVariable,
     ExchangeLine,
-    LimitError,
     LineUnit,
-    Motion,
     MotorError,
-    MotorState,
+    Numbers,
     PeerError,
     Poll,
     PolledHardware,
+    PolledStatus,
     Registration,
     StateError,
     UnsupportedError,
+    require_within,
 )
 
 if TYPE_CHECKING:
@@ -58,7 +55,6 @@ _SPEED: Final = 64.0 / 4096.0 * 1000.0  # counts/s per register unit
 _RAMP: Final = _SPEED / 0.064  # counts/s^2 per register unit
 _REGISTER_MAX: Final = 32_767
 _EXTENDED_MAX: Final = 1_048_575
-_ROUNDING: Final = 1e-9
 MODES: Final = {"position": 4, "velocity": 1}
 _TIME_BASED: Final = 0x04  # of the drive mode
 _MODEL, _DRIVE_MODE, _MODE, _TORQUE, _WATCHDOG = 0, 10, 11, 64, 98
@@ -174,6 +170,8 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
     """
 
     NEAR_TURNS: ClassVar[float] = 1 / 2000  # two counts
+    NUMBER_MAX: ClassVar[int] = _REGISTER_MAX
+    HAS_ONE_RAMP: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -224,18 +222,9 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
             )
         return TURN
 
-    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """Return the motion in the servo's resolution; one ramp serves for both directions."""
+    def _rates(self, model: "MotorModel") -> tuple[float, float]:
         per_unit = abs(self._per_unit(model))
-        ramp = _units(min(motion.acceleration, motion.deceleration) * per_unit / _RAMP)
-        ramped = ramp * _RAMP / per_unit
-        changed = replace(motion, acceleration=ramped, deceleration=ramped)
-        if motion.variable is ControlVariable.VELOCITY:
-            size = floor(abs(motion.target) * per_unit / _SPEED + _ROUNDING) * _SPEED / per_unit
-            return replace(changed, target=size if motion.target > 0 else -size)
-        speed = _units(motion.velocity * per_unit / _SPEED) * _SPEED / per_unit
-        target = round(motion.target * per_unit) / per_unit
-        return replace(changed, velocity=speed, target=target)
+        return per_unit / _SPEED, per_unit / _RAMP
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -246,28 +235,27 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         seen = self._seen = self.registers.read(_FROM, _UNTIL - _FROM)
         is_on, self._hardware_error = bool(self._at(_TORQUE, 1)), self._at(70, 1)
         fault = self._fault(bool(self._hardware_error) and not is_on, _ERRORS)
-        is_stopped = self._quick_stopped or self._at(_WATCHDOG, 1) == _TRIPPED
-        state = MotorState.STOPPED if is_stopped else MotorState.ENABLED
-        state = state if is_on else MotorState.DISABLED
+        is_stopped = self._at(_WATCHDOG, 1) == _TRIPPED
         profile_runs = bool(seen[123 - _FROM] & 2)
         demand_speed = self._at(_TRAJECTORY, 4)
         is_moving = bool(self._at(122, 1)) or profile_runs or demand_speed != 0
-        self._stop_again(is_moving)
         position = self._at(132, 4)
         demand = self._at(_TRAJECTORY + 4, 4) if is_on and self.mode == "position" else position
         goal_speed = self._at(_GOAL_VELOCITY, 4)
-        runs = self.mode == "velocity" and goal_speed != 0 and self._at(_WATCHDOG, 1) != _TRIPPED
-        return Poll(
+        runs = self.mode == "velocity" and goal_speed != 0 and not is_stopped
+        told = PolledStatus(
             time_ns=self.runtime.now_ns(),
-            state=MotorState.FAULT if fault is not None else state,
             fault=fault,
-            position=(position - CENTRE) / per_unit,
-            demand=(demand - CENTRE) / per_unit,
+            is_on=is_on,
+            is_stopped=is_stopped,
+            position=position - CENTRE,
+            demand=demand - CENTRE,
             velocity=self._at(128, 4) * _SPEED / per_unit,
             is_moving=is_moving,
             has_arrived=not is_moving and not runs,
             at_velocity=is_on and abs(demand_speed - goal_speed) <= 1,
         )
+        return self._poll_of(told, model)
 
     def _at(self, address: int, size: int) -> int:
         return _number(self._seen, address - _FROM, size, signed=size > 1)
@@ -351,30 +339,17 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
 
     # --- motion ----------------------------------------------------------------------------------
 
-    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+    def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
         """Prepare the write that starts the motion; send nothing."""
-        self.connect(model)
-        per_unit = self._per_unit(model)
-        size = abs(per_unit)
-        ramp = _units(min(motion.acceleration, motion.deceleration) * size / _RAMP)
-        self._quick_ramp = max(ramp, _units(model.acceleration_max * size / _RAMP))
-        self._stop = None
-        if motion.variable is ControlVariable.VELOCITY:
-            speed = round(motion.target * per_unit / _SPEED)
+        counts, speed, ramp, _ = numbers
+        quick = model.acceleration_max * self._rates(model)[1]
+        self._quick_ramp = max(ramp, self._down(quick))
+        if counts is None:
             self.prepared = _GOAL_VELOCITY, _bytes(speed, ramp)
             return
-        goal = round(motion.target * per_unit) + CENTRE
-        if abs(goal) > _EXTENDED_MAX:
-            raise LimitError(
-                motor=self.label,
-                quantity="position",
-                value=goal,
-                low=-_EXTENDED_MAX,
-                high=_EXTENDED_MAX,
-                unit="counts",
-                reason="the range of the servo's goal",
-            )
-        speed = _units(motion.velocity * size / _SPEED)
+        goal, limits = counts + CENTRE, (-_EXTENDED_MAX, _EXTENDED_MAX)
+        reason = "the range of the servo's goal"
+        require_within(self.label, "position", goal, limits, "counts", reason)
         self.prepared = _RAMP_AT, _bytes(ramp, speed, goal)
 
     def trigger(self) -> None:
@@ -413,11 +388,6 @@ def _stop_from(seen: bytes, quick_ramp: int, late_s: float) -> bytes:
         way += velocity * abs(velocity) / (2.0 * ramp * _RAMP)
     goal = max(-_EXTENDED_MAX, min(_EXTENDED_MAX, round(position + way)))
     return _bytes(ramp, speed, goal)
-
-
-def _units(value: float) -> int:
-    """Return the register value that does not exceed this one, but not 0, which means infinite."""
-    return max(1, min(_REGISTER_MAX, floor(value + _ROUNDING)))
 
 
 def _number(data: bytes, at: int, size: int, *, signed: bool = False) -> int:

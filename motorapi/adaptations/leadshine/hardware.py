@@ -11,8 +11,7 @@ The request is sent only once, even if its answer is lost.
 Source: the common subset of several independent public drivers for these drives.
 """
 
-from dataclasses import replace
-from math import ceil, floor
+from math import ceil
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.modbus.client import ModbusExchange
@@ -20,15 +19,13 @@ from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, as_i32
 from motorhil.motorapi.api.polled_hardware import (
     BOOT_S,
     HERE,
+    Numbers,
     Poll,
     PolledHardware,
+    PolledStatus,
     check_register,
-    toward_zero,
 )
-from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import PeerError, StateError, UnsupportedError
-from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api.line_exchanges import ByteLine
@@ -121,22 +118,20 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
             position, demand, time_ns = self._read_positions(*places)
         self._is_homed = bool(status & _HOMED)
         fault = self._fault(bool(status & _FAULT), _ALARMS)
-        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
-        state = state if status & _ENABLED else MotorState.DISABLED
         rpm = speed - 0x10000 if speed & 0x8000 else speed
         is_moving = bool(status & _RUNNING)
-        self._stop_again(is_moving)
-        return Poll(
+        told = PolledStatus(
             time_ns=time_ns,
-            state=MotorState.FAULT if fault is not None else state,
             fault=fault,
-            position=position / per_unit,
-            demand=demand / per_unit,
+            is_on=bool(status & _ENABLED),
+            position=position,
+            demand=demand,
             velocity=rpm / self._rpm_per_unit(model) * (1 if per_unit > 0 else -1),
             is_moving=is_moving,
             has_arrived=bool(status & _PATH_DONE) and not is_moving,
             at_velocity=bool(status & _COMMAND_DONE),
         )
+        return self._poll_of(told, model)
 
     def _read_alarm(self) -> int:
         return self.registers.read(_ALARM)[0]
@@ -182,43 +177,29 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
 
     # --- motion -----------------------------------------------------------------------------------
 
-    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """Return the motion in the drive's resolution."""
-        rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
-        faster, slower = self._ramps(motion, rpm_unit)
-        changed = replace(
-            motion,
-            acceleration=_acceleration(faster, rpm_unit),
-            deceleration=_acceleration(slower, rpm_unit),
-        )
-        if motion.variable is ControlVariable.VELOCITY:
-            return replace(changed, target=toward_zero(motion.target * rpm_unit) / rpm_unit)
-        speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
-        target = round(motion.target * per_unit) / per_unit
-        return replace(changed, velocity=speed / rpm_unit, target=target)
+    def _rates(self, model: "MotorModel") -> tuple[float, float]:
+        rpm_unit = self._rpm_per_unit(model)
+        return rpm_unit, rpm_unit
 
-    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+    def _ramp(self, rate: float) -> int:
+        """Return the time for a change of 1000 rpm [ms], not shorter."""
+        return max(1, min(_RAMP_MAX, ceil(1e6 / rate - 1e-9)))
+
+    def _rate_of(self, ramp: int) -> float:
+        return 1e6 / ramp
+
+    def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
         """Prepare the request for path 0; send nothing but a changed ramp for stops."""
-        self.connect(model)
-        self._recounts = False
-        rpm_unit, per_unit = self._rpm_per_unit(model), self._per_unit(model)
-        faster, slower = self._ramps(motion, rpm_unit)
-        if motion.variable is ControlVariable.VELOCITY:
-            way = 1 if per_unit > 0 else -1
-            speed = way * toward_zero(motion.target * rpm_unit)
-            check_register(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
-            path = (_VELOCITY, 0, 0, speed, faster, slower, 0, _RUN)
-        else:
-            target = self._target(round(motion.target * per_unit), "pulses")
-            speed = max(1, floor(motion.velocity * rpm_unit + 1e-9))
-            check_register(self.label, "velocity", speed, _RPM_MAX, "rpm")
-            path = (_ABSOLUTE, target >> 16, target, speed, faster, slower, 0, _RUN)
+        counts, speed, faster, slower = numbers
+        check_register(self.label, "velocity", abs(speed), _RPM_MAX, "rpm")
+        kind, target = _VELOCITY, 0
+        if counts is not None:
+            kind, target = _ABSOLUTE, self._target(counts, "pulses")
         ramp = self.registers.standing, slower
         if self._ramp_told != ramp:
             self.registers.write(_QUICK_RAMP, slower)  # a stop has the ramp of the motion
             self._ramp_told = ramp
-        self._prepared = path
-        self._stop = None
+        self._prepared = (kind, target >> 16, target, speed, faster, slower, 0, _RUN)
 
     def limit_current(self, tenths_a: int | None) -> None:
         """Set the peak current [0.1 A]; None: the drive's own value."""
@@ -237,23 +218,9 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
         super().forget()
         self._own_current = None
 
-    def _ramps(self, motion: Motion, rpm_unit: float) -> tuple[int, int]:
-        return (
-            _ramp_ms(motion.acceleration * rpm_unit),
-            _ramp_ms(motion.deceleration * rpm_unit),
-        )
-
     def trigger(self) -> None:
         """Send the prepared motion, and start it by the same request."""
         self.registers.write(_PATH_0, *self._prepared, starts=True)
 
     def _post_stop(self) -> ModbusExchange:
         return self.registers.post(_TRIGGER, _STOP)
-
-
-def _ramp_ms(rpm_s: float) -> int:
-    return max(1, min(_RAMP_MAX, ceil(1e6 / rpm_s - 1e-9)))
-
-
-def _acceleration(ramp_ms: int, rpm_unit: float) -> float:
-    return 1e6 / ramp_ms / rpm_unit

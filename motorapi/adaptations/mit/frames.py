@@ -88,6 +88,12 @@ class Maker(Enum):
         self.zero_s = zero_s
         self.faults = faults
 
+    def text_of(self, code: int) -> str:
+        """Return the text of a fault, or of several."""
+        texts = [self.faults[code]] if code in self.faults else []
+        texts = texts or [text for one, text in self.faults.items() if code & one]
+        return ", ".join(texts) or "unknown"
+
     def has_fault(self, code: int) -> bool:
         """Return whether its drives can report this; RobStride reports several by their sum."""
         several = sum(self.faults) if self is Maker.ROBSTRIDE else 0

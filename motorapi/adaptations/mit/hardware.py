@@ -15,28 +15,24 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from math import copysign
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from motorhil.motorapi.adaptations.mit.frames import Answer, Command, Frames, Maker, Ranges, Special
 from motorhil.motorapi.api import (
-    CanHardware,
+    ControlVariable,
+    Estimate,
     LinkError,
-    MotionTimes,
     Options,
     PeerError,
-    PeriodicMessage,
     SentFrame,
-    SetpointStream,
-    SyncOffer,
+    StreamedCanHardware,
     amount,
     positive,
 )
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api import BoundFence
-
-Plan = Callable[[float], Command]
-"""The command over the time since the start [s]; constant at its end."""
 
 LIMP: Final = Command()
 _PARAMETERS: Final = 0x7FF
@@ -93,16 +89,16 @@ class MitOptions(Options, ABC):
         return Ranges(*(known if given is None else given for given, known in pairs))
 
 
-class MitHwMotor(CanHardware[MitOptions]):
-    """One drive on a CAN bus; see `CanHardware`.
+class MitHwMotor(StreamedCanHardware[MitOptions]):
+    """One drive on a CAN bus; see `StreamedCanHardware`.
+
+    The fault is the drive's, or `FOLLOWING_ERROR`. While `motions.variable` is None, another
+    program, or nobody, controls the motor.
 
     Attributes:
         frames: its frames, with the ranges.
         answer, time_ns: the last answer, and when it was complete on the bus; None: none yet.
-        is_on: whether the motor has current, as far as known.
-        plan: what this program repeats; None: another program, or nobody, controls the motor.
         behind: the demand minus the last position [rad]; None: no position is demanded.
-        fault: the code of the fault, of the drive or `FOLLOWING_ERROR`; 0: none.
         mismatch: why the ranges are wrong; "": nothing says so.
         is_zeroed: whether the zero was set since the drive was first heard.
     """
@@ -118,17 +114,13 @@ class MitHwMotor(CanHardware[MitOptions]):
         self._reading = bytes((self.node_id, 0, _READ))  # begins answers of parameters
         self.answer: Answer | None = None
         self.time_ns: int = 0
-        self.fault_ns: int = 0
-        self.fault: int = 0
         self.behind: float | None = None
-        self.is_on: bool = False
+        self._is_on = False
         self.is_zeroed: bool = False
-        self.plan: Plan | None = None
         self.mismatch: str = ""
-        self._stream: SetpointStream | None = None
-        self._started: SetpointStream | None = None
+        self._stream(own.period_ms, 0.0)
         self._is_asking = False
-        self._began_ns = self._deaf_ns = self._polled_ns = 0
+        self._deaf_ns = self._polled_ns = 0
         self._moved = self._summed = 0.0
         self._ratios: list[float] = []  # velocity to way, of the last ways that disagreed
         self._others: set[str] = set()
@@ -140,6 +132,8 @@ class MitHwMotor(CanHardware[MitOptions]):
         for can_id in self.frames.requests():
             drive.handle(can_id, partial(self._on_request, can_id))
         drive.every(own.period_ms / 1e3, self._beat)
+        can_id, data = self.frames.command(LIMP)
+        drive.starts_by(can_id, len(data))
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its ranges as far as it tells them.
@@ -160,13 +154,9 @@ class MitHwMotor(CanHardware[MitOptions]):
     def _connected(self) -> None:
         if self.frames.maker is Maker.DAMIAO:
             self._check_ranges()
-        period_s, is_extended = self.options.period_ms / 1e3, self.EXTENDED
-        can_id, data = self.frames.command(LIMP)
-        answer_id = next(iter(self.frames.answers()))
-        self.drive.note_traffic(
-            (PeriodicMessage(answer_id, 8, period_s, extended=is_extended),),
-            (PeriodicMessage(can_id, len(data), period_s, extended=is_extended),),
-        )
+        period_s = self.options.period_ms / 1e3
+        answer_id, (can_id, data) = next(iter(self.frames.answers())), self.frames.command(LIMP)
+        self.drive.note_frames([(answer_id, 8, period_s)], [(can_id, len(data), period_s)])
 
     def _knows(self) -> bool:
         return self.answer is not None
@@ -174,82 +164,66 @@ class MitHwMotor(CanHardware[MitOptions]):
     def _greet(self) -> None:
         self._ask()
 
-    def _rests(self) -> bool:
-        return self._stream is None or not self._stream.is_going
-
-    def forget(self) -> None:
-        """Repeat nothing any more, and forget what the drive was told."""
-        self._end_stream()
-        self.plan = None
-        super().forget()
-
     # --- commands ----------------------------------------------------------------------------
 
-    def follow(self, plan: Plan, duration_s: float) -> None:
-        """Execute a motion, and repeat its last command; return when it has begun.
+    def send(
+        self, variable: ControlVariable, value: float, fence: "BoundFence | None"
+    ) -> SentFrame:
+        """Send a set-point in rad, rad/s or N m, with what its derivatives need."""
+        command = self._of(variable, value, *self.motions.rates())
+        return self.drive.command(*self.frames.command(command), fence=fence)
 
-        Raises as `CanDrive.command` and `CanDrive.confirm`.
-        """
-        self._end_stream()
+    def hold(self) -> SentFrame:
+        """Command the present position; without current, the drive executes it when enabled."""
+        return self.motions.hold(self.measured(), partial(self.send, ControlVariable.POSITION))
 
-        def send(at_s: float, fence: "BoundFence | None" = None) -> SentFrame:
-            return self.drive.command(*self.frames.command(plan(at_s)), fence=fence)
+    def stop_anyway(self) -> SentFrame:
+        """Send the present command, whoever owns the motor."""
+        return self.drive.stop_command(*self.frames.command(self.present()))
 
-        stream = SetpointStream(
-            *(self.drive, float, duration_s, self.options.period_ms / 1e3, send)
-        )
-        sent = stream.begin()
-        self._stream = self._started = stream
-        self._moved = self._summed = 0.0
-        self._ratios.clear()
-        self._set(plan)
-        self.drive.confirm(sent)
+    def _of(self, variable: ControlVariable, value: float, first: float, second: float) -> Command:
+        own = self.options
+        if variable is ControlVariable.TORQUE:
+            return Command(t=value)
+        is_position = variable is ControlVariable.POSITION
+        velocity = first if is_position else value
+        rubs = copysign(own.friction_n_m, velocity) if velocity else 0.0
+        if not is_position:
+            return Command(0.0, value, 0.0, own.kd_n_m_s_rad, rubs)
+        t = own.inertia_kg_m2 * second + rubs
+        return Command(value, velocity, own.kp_n_m_rad, own.kd_n_m_s_rad, t)
 
-    def start_offer(self) -> SyncOffer:
-        """Return the offer of a start by the first command of a motion."""
-        can_id, data = self.frames.command(LIMP)
-        return self.drive.start_offer(can_id, len(data))
-
-    def times(self) -> MotionTimes | None:
-        """Return when the last motion began and ended on the bus; None: no motion yet."""
-        return None if self._started is None else self._started.times()
-
-    def stop(self, plan: Plan) -> None:
-        """Execute a stop, whoever owns the motor."""
-        self._end_stream()
-        self._set(plan)
-        self.drive.stop_command(*self.frames.command(plan(0.0)))
+    @property
+    def is_on(self) -> bool:
+        """True if the motor has current, as far as known."""
+        return self._is_on
 
     @property
     def is_held(self) -> bool:
         """True if the motor has current, and commands of this program or another one."""
         is_told = self.time_ns - self._polled_ns > self.options.quiet_ms * 1e6
-        return self.is_on and (self.plan is not None or is_told)
+        return self.is_on and (self.motions.variable is not None or is_told)
 
     def present(self) -> Command:
         """Return the command that is repeated now; LIMP: none."""
-        elapsed_s = (self.drive.runtime.now_ns() - self._began_ns) / 1e9
-        return LIMP if self.plan is None else self.plan(elapsed_s)
+        variable = self.motions.variable
+        return LIMP if variable is None else self._of(variable, *self.motions.demand())
 
-    def hold_here(self) -> None:
-        """Command the present position; without current, the drive executes it when enabled."""
-        assert self.answer is not None  # connected
-        options = self.options
-        held = Command(self.answer.p, 0.0, options.kp_n_m_rad, options.kd_n_m_s_rad)
-        self.drive.command(*self.frames.command(held))
-        self._set(lambda at_s: held)
+    def trust_ranges(self) -> None:
+        """Begin the comparison of ways and velocities anew."""
+        self._moved = self._summed = 0.0
+        self._ratios.clear()
 
     def release(self) -> None:
         """End all commands; the motor is limp."""
         self.drive.command(*self.frames.command(LIMP))
-        self._end_stream()
-        self.plan = None
+        self.motions.forget()
 
     def tell(self, special: Special) -> SentFrame:
         """Send a special request; raises as `CanDrive.command`."""
         sent = self.drive.command(*self.frames.special(special))
         if special in (Special.ENTER, Special.LEAVE):
-            self.is_on = special is Special.ENTER  # a drive that tells corrects it
+            self._is_on = special is Special.ENTER  # a drive that tells corrects it
         return sent
 
     def ask(self, special: Special, is_there: Callable[[], bool], awaited: str) -> None:
@@ -283,37 +257,24 @@ class MitHwMotor(CanHardware[MitOptions]):
         )
         self.is_zeroed = True
 
-    def check_stream(self) -> None:
-        """Raise the error that has ended the stream of a motion, if any."""
-        if self._stream is not None and self._stream.error is not None:
-            raise self._stream.error
-
     # --- background --------------------------------------------------------------------------
 
-    def _set(self, plan: Plan) -> None:
-        self.plan, self._began_ns = plan, self.drive.runtime.now_ns()
-
-    def _end_stream(self) -> None:
-        if self._stream is not None:
-            self._stream.cancel()
-            self._stream = None
-
     def _ask(self) -> None:
-        if self.plan is None:
+        if self.motions.variable is None:
             self._polled_ns = self.drive.runtime.now_ns()
         self.drive.request(*self.frames.command(self.present()))
 
     def _beat(self) -> None:
-        now_ns, stream = self.drive.runtime.now_ns(), self._stream
+        now_ns, motions = self.drive.runtime.now_ns(), self.motions
         if now_ns < self._deaf_ns:
             self._life.came(now_ns)
         elif self.drive.status.is_off:
             self._lose()
-        elif self._is_asking or (stream is not None and stream.is_going):
+        elif self._is_asking or motions.is_going:
             return
-        elif stream is not None and stream.error is not None:
-            self.plan = None  # another one has the motor
-        elif self.plan is not None or now_ns - self.time_ns >= self.options.quiet_ms * 1e6:
+        elif motions.error is not None:
+            motions.variable = None  # another one has the motor
+        elif motions.variable is not None or now_ns - self.time_ns >= self.options.quiet_ms * 1e6:
             with suppress(LinkError):
                 self._ask()
 
@@ -332,15 +293,15 @@ class MitHwMotor(CanHardware[MitOptions]):
         if before is None and not self.frames.maker.has_fault(answer.fault):
             self._others.add(f"fault {answer.fault:02X}h, which such a drive does not have")
             return
-        self.answer = answer
+        self.answer, self.estimate = answer, Estimate(answer.p, answer.v, time_ns)
         elapsed_s = (time_ns - self.time_ns) / 1e9
         self.time_ns = time_ns
         if answer.is_on is not None:
-            self.is_on = answer.is_on
+            self._is_on = answer.is_on
         present = self.present()
         self.behind = present.p - answer.p if present.kp else None
         is_far = abs(self.behind or 0.0) > self.options.following_error_rad
-        if answer.fault or is_far or self.fault != FOLLOWING_ERROR:
+        if answer.fault or is_far or (self.fault and self.fault.code != FOLLOWING_ERROR):
             self._set_fault(answer.fault or (FOLLOWING_ERROR if is_far else 0), time_ns)
         r = self.frames.ranges  # codes are coarse near 0; at their ends they stand, or turn over
         is_told = 0.01 < abs(answer.v) / r.v < 0.95 and abs(answer.p) < 0.95 * r.p
@@ -350,14 +311,16 @@ class MitHwMotor(CanHardware[MitOptions]):
 
     def _set_fault(self, code: int, time_ns: int) -> None:
         """Note a fault, with which the motor has no current, or its end."""
-        if code and code != self.fault:
-            self.fault_ns = time_ns
-            self._end_stream()
-            self.plan, self.is_on = None, False
-            if code == FOLLOWING_ERROR:
+        if not code:
+            self.fault = None
+        elif self.fault is None or code != self.fault.code:
+            is_own = code == FOLLOWING_ERROR
+            text = "following error" if is_own else self.frames.maker.text_of(code)
+            self.see_fault(code, text, time_ns)
+            self._is_on = False
+            if is_own:
                 with suppress(LinkError):
                     self.drive.stop_command(*self.frames.special(Special.LEAVE))
-        self.fault = code
 
     def _compare(self, before: Answer, answer: Answer, elapsed_s: float) -> None:
         """Compare way and velocity: their ranges are wrong if they disagree, and always alike.
@@ -384,14 +347,13 @@ class MitHwMotor(CanHardware[MitOptions]):
         """Handle a request of another program."""
         asked = self.frames.asked(can_id, data)
         if asked in (Special.ENTER, Special.LEAVE):
-            self.is_on = asked is Special.ENTER
+            self._is_on = asked is Special.ENTER
         if asked:
-            self.forget()
-            self.drive.overheard(f"request {data.hex()}", time_ns)
+            self.overheard(f"request {data.hex()}", time_ns)
 
     def _lose(self) -> None:
         super()._lose()
-        self.is_on = self.is_zeroed = False
+        self._is_on = self.is_zeroed = False
         self._parameters.clear()
 
     def _check_ranges(self) -> None:

@@ -12,49 +12,35 @@ Motors start one after another: there is no common signal.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from math import copysign
+from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.motorapi.adaptations.mit.frames import (
     MODELS,
-    Command,
     Frames,
     Maker,
     Special,
 )
 from motorhil.motorapi.adaptations.mit.hardware import (
-    FOLLOWING_ERROR,
     MitHwMotor,
     MitOptions,
-    Plan,
 )
 from motorhil.motorapi.api import (
     REQUIRED,
     CanBuilder,
-    CanMotor,
     ControlMode,
     ControlVariable,
     DeadlineExceeded,
-    Fault,
-    LimitError,
     Measurement,
     Motion,
-    MotionTimes,
     MotorModel,
     MotorState,
     PeerError,
-    Ramps,
-    Setpoint,
-    SyncOffer,
-    Trajectory,
-    TrapezoidalTrajectory,
+    StreamedMotor,
     adaptation,
-    can_stream,
-    demand_of,
     output_sign,
     require_here,
-    require_time,
+    require_within,
     text,
     whole,
     word,
@@ -62,7 +48,7 @@ from motorhil.motorapi.api import (
 
 
 @final
-class MitMotor(CanMotor[MitHwMotor]):
+class MitMotor(StreamedMotor[MitHwMotor]):
     """A logical motor on such a drive; several of them may share one hardware object."""
 
     def _units_of(self, model: MotorModel) -> float:
@@ -83,11 +69,11 @@ class MitMotor(CanMotor[MitHwMotor]):
 
     def _enable(self) -> None:
         hardware = self.hardware
-        if hardware.plan is not None and hardware.is_on:
+        if hardware.motions.variable is not None and hardware.is_on:
             return  # after a quick stop
-        hardware.hold_here()
+        hardware.hold()
         hardware.ask(
-            Special.ENTER, lambda: hardware.is_on or self._fault() is not None, "motor mode"
+            Special.ENTER, lambda: hardware.is_on or hardware.fault is not None, "motor mode"
         )
         self._check_fault()
 
@@ -97,7 +83,6 @@ class MitMotor(CanMotor[MitHwMotor]):
         hardware.ask(Special.LEAVE, lambda: not hardware.is_on, "the end of motor mode")
 
     def _command(self, motion: Motion) -> None:
-        require_time(self.name, motion)
         ranges, furthest = self.hardware.frames.ranges, motion.target
         limit, unit = {
             ControlVariable.POSITION: (ranges.p, "rad"),
@@ -107,61 +92,28 @@ class MitMotor(CanMotor[MitHwMotor]):
         if motion.function is not None:
             low, high = motion.function.bounds(*motion.interval)
             furthest = motion.offset + max(low, high, key=lambda end: abs(motion.offset + end))
-        if abs(furthest) > limit:
-            raise LimitError(
-                motor=self.name,
-                quantity=motion.variable.value,
-                value=furthest,
-                low=-limit,
-                high=limit,
-                unit=unit,
-                reason="the range of the drive's frames",
-            )
-        self.hardware.follow(*self._planned(motion))
+        reason = "the range of the drive's frames"
+        quantity = motion.variable.value
+        require_within(self.name, quantity, furthest, (-limit, limit), unit, reason)
+        self.hardware.trust_ranges()
+        super()._command(motion)
 
     def _stop(self) -> None:
-        hardware, size = self.hardware, self._physical.stop_deceleration(self.model.deceleration)
-        answer, now = hardware.answer, hardware.present()
-        if not hardware.is_on or answer is None:
-            return
-        p, v = (now.p, now.v) if now.kp else (answer.p, answer.v)
-        slower = -size if v > 0.0 else size
-        end_s = abs(v) / size
-        kp, kd = hardware.options.kp_n_m_rad, hardware.options.kd_n_m_s_rad
-
-        def plan(at_s: float) -> Command:
-            s = min(at_s, end_s)
-            return Command(p + (v + 0.5 * slower * s) * s, v + slower * s, kp, kd)
-
-        hardware.stop(plan)
+        hardware = self.hardware
+        if hardware.is_on and hardware.answer is not None:
+            slower = self._physical.stop_deceleration(self.model.deceleration)
+            hardware.motions.slow_down(slower, hardware.measured())
+            hardware.stop_anyway()
 
     # --- capabilities ------------------------------------------------------------------------
 
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable is not ControlVariable.CURRENT
 
-    def _check_command(self, variable: ControlVariable, command: Setpoint | Trajectory) -> None:
-        if not can_stream(variable, command):
-            super()._check_command(variable, command)
-
-    def _sync_offer(self) -> SyncOffer:
-        return self.hardware.start_offer()
-
-    def _motion_times(self) -> MotionTimes | None:
-        return self.hardware.times()
-
-    def _read_reference(self) -> float:
-        held = self.hardware.present()
-        return self._units * held.p if held.kp else self._read_position()
-
     def _read_referenced(self) -> bool:
         return self.hardware.is_zeroed
 
-    def _read_fault(self) -> Fault | None:
-        return self._fault()
-
     def _is_done(self) -> bool:
-        self.hardware.check_stream()
         if self.hardware.mismatch:
             raise PeerError(self.hardware.mismatch)
         return super()._is_done()
@@ -172,11 +124,11 @@ class MitMotor(CanMotor[MitHwMotor]):
         steps = [Special.LEAVE, Special.CLEAR]
         if hardware.frames.maker is Maker.CUBEMARS:  # it has no request to clear
             steps = [Special.LEAVE, Special.ENTER, Special.LEAVE]
-        hardware.fault = 0
+        hardware.fault = None
         with suppress(DeadlineExceeded):  # the fault remains
             for one in steps:
                 hardware.tell(one)
-            hardware.ask(steps[-1], lambda: self._fault() is None, "the end of the fault")
+            hardware.ask(steps[-1], lambda: hardware.fault is None, "the end of the fault")
         self._check_fault()
 
     def _home(self, method: int | None) -> None:
@@ -184,51 +136,6 @@ class MitMotor(CanMotor[MitHwMotor]):
         self._disable()
         self.hardware.set_zero()
         self._enable()
-
-    # --- helpers -----------------------------------------------------------------------------
-
-    def _planned(self, motion: Motion) -> tuple[Plan, float]:
-        """Return the commands of a motion, and its duration [s]."""
-        sign, options = self._units, self.hardware.options
-        kp, kd, inertia = options.kp_n_m_rad, options.kd_n_m_s_rad, options.inertia_kg_m2
-        friction = options.friction_n_m
-        if motion.variable is ControlVariable.POSITION:
-            if motion.trajectory is None:
-                motion = replace(motion, trajectory=TrapezoidalTrajectory(motion.distance))
-            demand = demand_of(motion)
-            begin = demand.initial_argument
-
-            def position(at_s: float) -> Command:
-                at = begin + at_s
-                p, v, a = demand.value(at), demand.first(at), demand.second(at)
-                rubs = copysign(friction, v) if v else 0.0
-                return Command(sign * p, sign * v, kp, kd, sign * (inertia * a + rubs))
-
-            return position, demand.final_argument - begin
-        present, answer = self.hardware.present(), self.hardware.answer
-        assert answer is not None  # connected
-        if motion.variable is ControlVariable.VELOCITY:
-            before = present.v if present.kd and not present.kp else answer.v
-            ramps = Ramps(sign * before, motion.target, motion.acceleration, motion.deceleration)
-
-            def velocity(at_s: float) -> Command:
-                v = sign * _at(ramps, motion, at_s)
-                return Command(0.0, v, 0.0, kd, copysign(friction, v) if v else 0.0)
-
-            return velocity, ramps.duration_s
-        ramps = Ramps(sign * present.t, motion.target, motion.slope, motion.slope)
-        return lambda at_s: Command(t=sign * _at(ramps, motion, at_s)), ramps.duration_s
-
-    def _fault(self) -> Fault | None:
-        hardware, code = self.hardware, self.hardware.fault
-        faults = {FOLLOWING_ERROR: "following error", **hardware.frames.maker.faults}
-        texts = [faults[code]] if code in faults else [t for c, t in faults.items() if code & c]
-        return Fault(code, ", ".join(texts) or "unknown", hardware.fault_ns) if code else None
-
-
-def _at(ramps: Ramps, motion: Motion, at_s: float) -> float:
-    on_ramp = ramps.at(at_s)
-    return motion.target if on_ramp is None else on_ramp[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,9 +10,7 @@ Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from math import isnan, nan, tau
 from struct import Struct
 from typing import ClassVar, Final, NamedTuple, final
@@ -25,7 +23,6 @@ from motorhil.motorapi.api import (
     ControlMode,
     ControlVariable,
     Fault,
-    LinkError,
     Measurement,
     Motion,
     MotionInterrupted,
@@ -36,10 +33,8 @@ from motorhil.motorapi.api import (
     MotorState,
     Options,
     PeerError,
-    PeriodicMessage,
     SentFrame,
     SettingError,
-    SyncOffer,
     adaptation,
     motor_turns,
     positive,
@@ -89,6 +84,7 @@ _FEEDS: Final = 3  # of the watchdog, within its time
 _WINDOW: Final = 0.1  # of the model's tolerance
 _REACHED: Final = 0.05  # of the model's velocity
 _HOME_OUTPUT: Final = 2
+_SINGLE: Final = 2.0**-23  # of a value: the step of the single precision of registers
 
 
 class Status(NamedTuple):
@@ -171,6 +167,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
 
     def _begin(self) -> None:
         node_id, drive = self.node_id, self.drive
+        self._request_id = node_id | _REPLY | _EXTENDED
         self.status: Status | None = None
         self.is_over: bool = True
         self.started_ns: int | None = None
@@ -184,11 +181,14 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         self._last: tuple[Callable[..., SentFrame], bytes] | None = None
         self._life = drive.expect("reply", self.options.timeout_ms / 1e3, self._lose)
         reply_id = node_id << 8
-        drive.handle(reply_id | (_EXTENDED if reply_id > _STANDARD else 0), self._on_reply)
+        self._reply_id = reply_id | (_EXTENDED if reply_id > _STANDARD else 0)
+        drive.handle(self._reply_id, self._on_reply)
         for destination in (node_id, _BROADCAST):
             drive.handle(destination, self._on_foreign)
             drive.handle(destination | _REPLY | _EXTENDED, self._on_foreign)
-        drive.every(self.options.poll_ms / 1e3, self._poll)
+        drive.repeat(self.options.poll_ms / 1e3, self._poll)
+        length = len(_padded(hold(0.0).packed(0.0) + _QUERY))
+        drive.starts_by(self._request_id, length, flags=_BRS)
 
     def _greet(self) -> None:
         self._ask(_IDENTITY)
@@ -206,12 +206,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
                 f"{self.label}: register map {found}; expected {REGISTER_MAP}; update the firmware"
             )
         period_s = self.options.poll_ms / 1e3
-        fd = partial(PeriodicMessage, period_s=period_s, fd=True, bit_rate_switch=True)
-        reply_id = self.node_id << 8
-        self.drive.note_traffic(
-            (fd(reply_id, 32, extended=reply_id > _STANDARD),),
-            (fd(self.node_id | _REPLY, 48, extended=True),),
-        )
+        self.drive.note_frames([(self._reply_id, 32, period_s)], [(self._request_id, 48, period_s)])
 
     def forget(self) -> None:
         """Repeat no command, and forget what the drive was told."""
@@ -235,11 +230,6 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         data = order.packed(self.options.watchdog_ms / 1e3)
         sent = self._follow(order, window, self.drive.command, data)
         self.started_ns, self.ended_ns = self.drive.confirm(sent), None
-
-    def start_offer(self) -> SyncOffer:
-        """Return the offer of a start by the command of a motion."""
-        length = len(_padded(hold(0.0).packed(0.0) + _QUERY))
-        return self.drive.start_offer(self.node_id | _REPLY | _EXTENDED, length, flags=_BRS)
 
     def brake(self, deceleration: float, window: float) -> None:
         """Slow down, then hold; needs no ownership."""
@@ -288,34 +278,31 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         return self._sent
 
     def _tell(self, send: Callable[..., SentFrame], data: bytes) -> SentFrame:
-        return send(self.node_id | _REPLY | _EXTENDED, _padded(data + _QUERY), flags=_BRS)
+        return send(self._request_id, _padded(data + _QUERY), flags=_BRS)
 
     def _ask(self, data: bytes) -> None:
-        self.drive.request(self.node_id | _REPLY | _EXTENDED, _padded(data), flags=_BRS)
+        self.drive.request(self._request_id, _padded(data), flags=_BRS)
 
     # --- in the background
 
     def _poll(self) -> None:
-        if self.drive.status.is_off:
+        fed, last = self._fed, self._last
+        if fed is None:
+            self._ask(_QUERY)
             return
-        with suppress(LinkError):
-            fed, last = self._fed, self._last
-            if fed is None:
-                self._ask(_QUERY)
-                return
-            has_arrived = self._has_arrived()
-            holds = has_arrived and not fed.velocity  # from now on without a watchdog
-            try:
-                watchdog_s = nan if holds else self.options.watchdog_ms / 1e3
-                self._tell(self.drive.command, fed.packed(watchdog_s))
-            except MotorBusyError:
-                self._fed = None
-            if last is not self._last and self._last is not None:
-                self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
-            elif has_arrived and self._fed is fed and not self.is_over:
-                self._fed, self.is_over = None if holds else fed, True
-                self.ended_ns = self.drive.runtime.now_ns()
-                self.drive.news.grow()
+        has_arrived = self._has_arrived()
+        holds = has_arrived and not fed.velocity  # from now on without a watchdog
+        try:
+            watchdog_s = nan if holds else self.options.watchdog_ms / 1e3
+            self._tell(self.drive.command, fed.packed(watchdog_s))
+        except MotorBusyError:
+            self._fed = None
+        if last is not self._last and self._last is not None:
+            self._tell(*self._last)  # another thread has sent it meanwhile: it must come last
+        elif has_arrived and self._fed is fed and not self.is_over:
+            self._fed, self.is_over = None if holds else fed, True
+            self.ended_ns = self.drive.runtime.now_ns()
+            self.drive.news.grow()
 
     def _has_arrived(self) -> bool:
         status, order, window = self.status, self._order, self._window
@@ -326,6 +313,14 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         is_near = abs(status.position - status.control) <= window
         is_there = isnan(order.position) or abs(status.control - order.position) <= window
         return status.is_done and is_near and is_there
+
+    def commanded(self, control: float) -> float:
+        """Return the commanded position [turns] that the drive has rounded to this one.
+
+        Rounding would otherwise accumulate, and a motor on a limit could start beyond it.
+        """
+        target = self._order.position
+        return target if abs(control - target) <= _SINGLE * abs(target) else control
 
     def _on_reply(self, data: bytes, time_ns: int) -> None:
         if len(data) >= _IDENTITY_REPLY.size and data[:3] == b"\x2a\x81\x02":
@@ -354,8 +349,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
     def _on_foreign(self, data: bytes, time_ns: int) -> None:
         """Handle a command of another program, which gives all in one frame."""
         if data.startswith(_MODE_WRITE):
-            self.forget()
-            self.drive.overheard(f"mode {data[2:3].hex()}h", time_ns)
+            self.overheard(f"mode {data[2:3].hex()}h", time_ns)
 
 
 def hold(deceleration: float) -> Order:
@@ -424,9 +418,6 @@ class MoteusMotor(CanMotor[MoteusHwMotor]):
     def _supports(self, mode: ControlMode, variable: ControlVariable) -> bool:
         return variable in (ControlVariable.POSITION, ControlVariable.VELOCITY)
 
-    def _sync_offer(self) -> SyncOffer:
-        return self.hardware.start_offer()
-
     def _motion_times(self) -> MotionTimes | None:
         started_ns, ended_ns = self.hardware.started_ns, self.hardware.ended_ns
         source = "its command on the wire; trajectory complete in a reply"
@@ -455,7 +446,7 @@ class MoteusMotor(CanMotor[MoteusHwMotor]):
         if status is None or status.mode != POSITION:
             return self._read_position()
         self.hardware.drive.check()
-        return status.control / self._units
+        return self.hardware.commanded(status.control) / self._units
 
     def _read_fault(self) -> Fault | None:
         return self.hardware.fault

@@ -8,8 +8,6 @@ the same block.
 Source: an open-source master for these drives, and the description of the maker's emulator.
 """
 
-from dataclasses import replace
-from math import floor
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.modbus.client import ModbusExchange
@@ -17,15 +15,13 @@ from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
 from motorhil.motorapi.api.polled_hardware import (
     BOOT_S,
     HERE,
+    Numbers,
     Poll,
     PolledHardware,
+    PolledStatus,
     check_register,
-    toward_zero,
 )
-from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, PeerError, UnsupportedError
-from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.state import MotorState
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api.line_exchanges import ByteLine
@@ -129,23 +125,19 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
             position, demand, time_ns = self._read_positions(*places)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
         is_moving = bool(outputs & _MOVE)
-        self._stop_again(is_moving)
-        is_free = not outputs & (_READY | _MOVE)
-        state = MotorState.STOPPED if self._quick_stopped else MotorState.ENABLED
-        if is_free or not self._is_enabled:
-            state = MotorState.DISABLED
         hz = self._hz
-        return Poll(
+        told = PolledStatus(
             time_ns=time_ns,
-            state=MotorState.FAULT if fault is not None else state,
             fault=fault,
-            position=position / per_unit,
-            demand=demand / per_unit,
+            is_on=self._is_enabled and bool(outputs & (_READY | _MOVE)),
+            position=position,
+            demand=demand,
             velocity=speed / per_unit,
             is_moving=is_moving,
             has_arrived=not is_moving and bool(outputs & _IN_POSITION),
             at_velocity=hz is not None and self._is_at(speed, hz),
         )
+        return self._poll_of(told, model)
 
     def _is_at(self, speed: int, hz: int) -> bool:
         """Return whether the speed is `hz`, for low speeds by their demand."""
@@ -195,43 +187,20 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
 
     # --- motion -----------------------------------------------------------------------------------
 
-    def quantised(self, motion: Motion, model: "MotorModel") -> Motion:
-        """Return the motion in the drive's resolution."""
-        per_unit = self._per_unit(model)
-        size = abs(per_unit)
-        changed = replace(
-            motion,
-            acceleration=_down(motion.acceleration * size) / size,
-            deceleration=_down(motion.deceleration * size) / size,
-        )
-        if motion.variable is ControlVariable.VELOCITY:
-            return replace(changed, target=toward_zero(motion.target * size) / size)
-        target = round(motion.target * per_unit) / per_unit
-        return replace(changed, velocity=_down(motion.velocity * size) / size, target=target)
-
     def limit_current(self, per_mille: int | None) -> None:
         """Set the current of the next block [0.1 % of the base current]; None: all of it."""
         self._current = _FULL_CURRENT if per_mille is None else per_mille
 
-    def prepare(self, motion: Motion, model: "MotorModel") -> None:
+    def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
         """Prepare the block; nothing is sent yet."""
-        self.connect(model)
-        self._recounts = False
-        per_unit = self._per_unit(model)
-        size = abs(per_unit)
-        faster, slower = _down(motion.acceleration * size), _down(motion.deceleration * size)
+        counts, speed, faster, slower = numbers
         check_register(self.label, "acceleration", max(faster, slower), _RATE_MAX, "Hz/s")
-        if motion.variable is ControlVariable.VELOCITY:
-            way = 1 if per_unit > 0 else -1
-            kind, target, speed = _CONTINUOUS, 0, way * toward_zero(motion.target * size)
-            self._hz = speed
-        else:
-            kind, target = _ABSOLUTE, self._target(round(motion.target * per_unit), "steps")
-            speed, self._hz = _down(motion.velocity * size), None
         check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
+        kind, target, self._hz = _CONTINUOUS, 0, speed
+        if counts is not None:
+            kind, target, self._hz = _ABSOLUTE, self._target(counts, "steps"), None
         self._prepared = words(0, kind, target, speed, faster, slower, self._current, 1)
         self._deceleration = slower
-        self._stop = None
 
     def trigger(self) -> None:
         """Send the prepared motion, and start it by the same request."""
@@ -242,7 +211,3 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         slower = self._deceleration
         block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, 1)
         return self.registers.post(_BLOCK, *block)
-
-
-def _down(value: float) -> int:
-    return max(1, floor(value * (1.0 + 4e-16) + 1e-9))

@@ -22,7 +22,6 @@ and errors all the time. Three traps of the protocol are handled here:
 Source: MyActuator, Servo Motor Control Protocol V4.2 (2024-05).
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
@@ -36,18 +35,14 @@ from motorhil.motorapi.api import (
     CanBuilder,
     ControlVariable,
     Estimate,
-    Fault,
     LinkError,
-    Measurement,
     Motion,
     MotorModel,
     Options,
     PeerError,
-    PeriodicMessage,
     SentFrame,
     StreamedCanHardware,
     StreamedMotor,
-    SyncOffer,
     UsageError,
     adaptation,
     amount,
@@ -143,7 +138,6 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         self._stream(own.stream_period_ms, own.lead_ms)
         self.mode: int | None = None
         self.errors: int = 0
-        self._answers: dict[int, int] = {}  # number of answers by command
         self._acceleration: dict[int, int] = {}  # in its ROM, by index
         self._speed: tuple[float, int] | None = None  # and its time; None: none since a loss
         self._mode_asked: int | None = None
@@ -154,14 +148,13 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         drive.handle(_ANSWER + self.node_id, self._on_answer)
         for can_id in (_REQUEST + self.node_id, _ALL):
             drive.handle(can_id, self._on_foreign)
-        drive.every(own.poll_period_ms / 1e3, self._poll)
+        drive.repeat(own.poll_period_ms / 1e3, self._poll)
+        drive.starts_by(_REQUEST + self.node_id, 8)
 
     def _connected(self) -> None:
         period_s = self.options.poll_period_ms / 2e3
-        self.drive.note_traffic(
-            (PeriodicMessage(_ANSWER + self.node_id, 8, period_s),),
-            (PeriodicMessage(_REQUEST + self.node_id, 8, period_s),),
-        )
+        answers, requests = ((one + self.node_id, 8, period_s) for one in (_ANSWER, _REQUEST))
+        self.drive.note_frames([answers], [requests])
 
     def _knows(self) -> bool:
         has_heard = self.estimate is not None and self.mode is not None
@@ -203,15 +196,8 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         Raises:
             DeadlineExceeded: it has no answer.
         """
-        self._exchange(command, lambda: self.tell(command, data))
-
-    def _exchange(self, command: int, send: Callable[[], object]) -> None:
-        before = self._answers.get(command, 0)
-        self.drive.exchange(
-            send,
-            lambda: self._answers.get(command, 0) > before,
-            *(_OBEYED_S, f"answer to {command:02X}h", _REPEAT_S),
-        )
+        awaited = f"answer to {command:02X}h"
+        self.drive.ask(command, lambda: self.tell(command, data), _OBEYED_S, awaited, _REPEAT_S)
 
     def track(self) -> None:
         """Set the accelerations to 0, unless they are, so that set-points are tracked directly.
@@ -241,7 +227,8 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         Raises:
             DeadlineExceeded: it does not answer.
         """
-        self._exchange(_STATUS_1, lambda: self._ask(_STATUS_1))
+        ask = partial(self._ask, _STATUS_1)
+        self.drive.ask(_STATUS_1, ask, _OBEYED_S, "answer to 9Ah", _REPEAT_S)
         return self.errors
 
     def restart(self) -> None:
@@ -265,20 +252,14 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         """Stop in closed loop, whoever owns the motor."""
         self.tell_anyway(Command.STOP)
 
-    def start_offer(self) -> SyncOffer:
-        """Return the offer of a start by the first set-point."""
-        return self.drive.start_offer(_REQUEST + self.node_id, 8)
-
     # --- requests and answers
 
     def _ask(self, command: int, index: int = 0) -> None:
         self.drive.request(_REQUEST + self.node_id, bytes((command, index)) + bytes(6))
 
     def _poll(self) -> None:
-        if not self._is_known or self.drive.status.is_off:
-            return
-        self._turn += 1
-        with suppress(LinkError):
+        if self._is_known:
+            self._turn += 1
             self._ask(_ANGLE if self._turn % 2 else _POLLED[1 + self._turn // 2 % 3])
 
     def _on_answer(self, data: bytes, time_ns: int) -> None:
@@ -291,7 +272,7 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         if self._doubts:  # it may be the request itself
             self._doubts = False
             return
-        self._answers[command] = self._answers.get(command, 0) + 1
+        self.drive.answered(command)
         if command == _ANGLE:
             self._life.came(time_ns)
             speed = self._speed
@@ -304,15 +285,10 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
         elif command == _READ_ACCELERATION and data[1] < _ACCELERATIONS:
             self._acceleration[data[1]] = _U32.unpack(data)[0]
         elif command == _STATUS_1:
-            self._see_errors(int.from_bytes(data[6:], "little"), time_ns)
-            self.mode = self._mode_asked
-
-    def _see_errors(self, errors: int, time_ns: int) -> None:
-        self.errors = errors
-        if errors and (self.fault is None or self.fault.code != errors):
+            self.errors = errors = int.from_bytes(data[6:], "little")
             named = [text for bit, text in ERRORS.items() if errors & bit]
-            self.motions.forget()
-            self.fault: Fault | None = Fault(errors, ", ".join(named) or "unknown error", time_ns)
+            self.see_fault(errors, ", ".join(named) or "unknown error", time_ns)
+            self.mode = self._mode_asked
 
     def _on_foreign(self, data: bytes, time_ns: int) -> None:
         """Handle a request of another program: those that move the motor end our motion."""
@@ -321,8 +297,7 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
             with suppress(LinkError):
                 self._read_accelerations()
         elif data and (data[0] in tuple(Command) or data[0] in (_RESET, 0xA6)):
-            self.forget()
-            self.drive.overheard(f"request {data[0]:02X}h", time_ns)
+            self.overheard(f"request {data[0]:02X}h", time_ns)
 
     def _lose(self) -> None:
         super()._lose()
@@ -341,9 +316,6 @@ class RmdMotor(StreamedMotor[RmdHwMotor]):
 
     def _units_of(self, model: MotorModel) -> float:
         return _DEGREES * output_sign(model)
-
-    def _latest(self) -> Measurement | None:
-        return self.hardware.measurement(self._units)
 
     def _enable(self) -> None:
         hardware = self.hardware

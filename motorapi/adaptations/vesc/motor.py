@@ -42,19 +42,15 @@ from motorhil.motorapi.api import (
     CanBuilder,
     ControlVariable,
     Estimate,
-    Fault,
     LinkError,
-    Measurement,
     Motion,
     MotorError,
     MotorModel,
     Options,
     PeerError,
-    PeriodicMessage,
     SentFrame,
     StreamedCanHardware,
     StreamedMotor,
-    SyncOffer,
     UsageError,
     adaptation,
     amount,
@@ -189,8 +185,8 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
             )
         self._stream(own.stream_period_ms, own.lead_ms)
         self.held: float | None = None
-        self.reports: int = 0  # answers about the fault
-        self._reported = 0
+        self.has_reported: bool = False
+        self._reported = 0  # fault code of the last report
         self._firmware: tuple[int, int] | None = None
         self._velocity: float | None = None  # None: not known since the drive was lost
         self._angle: float | None = None
@@ -209,7 +205,8 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         )
         self._answers = self.drive.expect("answer to GET_VALUES_SELECTIVE", _SILENCE_S)
         self._listen()
-        self.drive.every(_PACKET_S, self._keep_alive)
+        self.drive.repeat(_PACKET_S, self._keep_alive)
+        self.drive.starts_by(Mode.POSITION << 8 | node_id, _VALUE.size)  # as all set-points
 
     def _listen(self) -> None:
         own, host = self.node_id, self._host_id
@@ -262,10 +259,14 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
                 " update it"
             )
         self._is_known = True
-        self._note_traffic()
+        own, stream_s = self.node_id, self.options.stream_period_ms / 1e3
+        self.drive.note_frames(
+            [(one << 8 | own, 8, _STATUS_S) for one in (_STATUS, _STATUS_4, _STATUS_5)],
+            [(Mode.POSITION << 8 | own, 4, stream_s), (_SHORT << 8 | own, 7, _PACKET_S)],
+        )
 
     def _knows(self) -> bool:
-        return self._firmware is not None and self.estimate is not None and self.reports > 0
+        return self._firmware is not None and self.estimate is not None and self.has_reported
 
     @property
     def is_on(self) -> bool:
@@ -302,10 +303,6 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         """Send a set-point in turns, turns/s or A."""
         return self.tell(MODES[variable], value, fence)
 
-    def start_offer(self) -> SyncOffer:
-        """Return the offer of a start by the first set-point; all of them have 4 bytes."""
-        return self.drive.start_offer(Mode.POSITION << 8 | self.node_id, _VALUE.size)
-
     def scale(self, mode: Mode) -> float:
         """Return the number of a command for 1 of its value."""
         if mode is Mode.SPEED:
@@ -324,12 +321,8 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         Raises:
             DeadlineExceeded: it does not answer.
         """
-        before = self.reports
-        self.drive.exchange(
-            lambda: self._ask(_FAULT_MASK),
-            lambda: self.reports > before,
-            *(_ANSWER_S, "answer to GET_VALUES_SELECTIVE", _PACKET_S),
-        )
+        ask = partial(self._ask, _FAULT_MASK)
+        self.drive.ask(_SELECTIVE, ask, _ANSWER_S, "answer to GET_VALUES_SELECTIVE", _PACKET_S)
         return self._reported
 
     def _ask(self, packet: bytes, mode: int = 0) -> None:
@@ -344,26 +337,10 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     def _keep_alive(self) -> None:
         """Feed the drive's timeout and ask for its fault, in turns."""
         self._asks = not self._asks
-        if not self._is_known or self.drive.status.is_off:
-            return
-        with suppress(LinkError):
-            if self._asks:
-                self._ask(_FAULT_MASK)
-            elif self._feeds:
-                self._ask(bytes((_ALIVE,)), mode=2)
-
-    def _note_traffic(self) -> None:
-        sent = [(one, 8, _STATUS_S) for one in (_STATUS, _STATUS_4, _STATUS_5)]
-        stream_s = self.options.stream_period_ms / 1e3
-        ours = [(Mode.POSITION, 4, stream_s), (_SHORT, 7, _PACKET_S)]
-        of_drive, of_host = (
-            tuple(
-                PeriodicMessage(command << 8 | self.node_id, size, period_s, extended=True)
-                for command, size, period_s in messages
-            )
-            for messages in (sent, ours)
-        )
-        self.drive.note_traffic(of_drive, of_host)
+        if self._is_known and self._asks:
+            self._ask(_FAULT_MASK)
+        elif self._is_known and self._feeds:
+            self._ask(bytes((_ALIVE,)), mode=2)
 
     # --- frames of the drive
 
@@ -435,14 +412,14 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
 
     def fail(self, problem: str) -> None:
         """Report a following error, and brake."""
-        self._raise_fault(FOLLOWING_ERROR, problem)
+        self._see_fault(FOLLOWING_ERROR, problem)
         with suppress(MotorError):
             self.stop_anyway()
 
-    def _raise_fault(self, code: int, problem: str) -> None:
-        self.fault: Fault | None = Fault(code, problem, self.drive.runtime.now_ns())
-        self.motions.forget()
-        self.held = None
+    def _see_fault(self, code: int, problem: str) -> None:
+        if code:
+            self.held = None
+        self.see_fault(code, problem, self.drive.runtime.now_ns())
 
     def _on_boot(self, data: bytes, time_ns: int) -> None:
         """Note a restart; the notice of a start comes half a second after the first frames."""
@@ -452,11 +429,11 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     def _on_answer(self, data: bytes, time_ns: int) -> None:
         if data[:1] != bytes((self.node_id,)) or data[2:7] != _FAULT_MASK or len(data) < 8:
             return
-        self.reports += 1
+        self.has_reported = True
+        self.drive.answered(_SELECTIVE)
         self._answers.came(time_ns)
         self._reported = data[7]
-        if data[7] and (self.fault is None or self.fault.code != data[7]):
-            self._raise_fault(data[7], FAULTS.get(data[7], "unknown fault"))
+        self._see_fault(data[7], FAULTS.get(data[7], "unknown fault"))
 
     def _on_part(self, data: bytes, time_ns: int) -> None:
         if data[:1] == b"\0":
@@ -474,13 +451,11 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     # --- frames of other programs
 
     def _on_foreign(self, command: int, data: bytes, time_ns: int) -> None:
-        self.forget()
-        self.drive.overheard(f"command {command}", time_ns)
+        self.overheard(f"command {command}", time_ns)
 
     def _on_foreign_packet(self, data: bytes, time_ns: int) -> None:
         if len(data) > 2 and data[2] in _MOVING:
-            self.forget()
-            self.drive.overheard(f"packet {data[2]}", time_ns)
+            self.overheard(f"packet {data[2]}", time_ns)
 
     def forget(self) -> None:
         """Forget what the drive was told: another program commands it, or it was lost."""
@@ -492,7 +467,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         super()._lose()
         self._firmware = self._angle = self._velocity = self.estimate = None
         self._rested = None
-        self.reports = 0
+        self.has_reported = False
         self._is_kept = self._power_on is not None
 
     def _restart(self) -> None:
@@ -507,9 +482,6 @@ class VescMotor(StreamedMotor[VescHwMotor]):
 
     def _units_of(self, model: MotorModel) -> float:
         return motor_turns(model)
-
-    def _latest(self) -> Measurement | None:
-        return self.hardware.measurement(self._units)
 
     def _enable(self) -> None:
         hardware = self.hardware

@@ -17,7 +17,7 @@ from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
-from motorhil.harness.shared_time.remote_world import RemoteWorld
+from motorhil.harness.shared_time.remote_world import RemotePort, RemoteWorld
 from motorhil.harness.shared_time.shared_clock import SharedClock
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
@@ -48,7 +48,7 @@ def steps(random, depth=0):
     """Return the steps of a random program."""
     made = []
     for _ in range(random.randint(2, 8)):
-        kinds = ("wait", "wait", "send", "send", "receive", "every", "poll", "spawn")
+        kinds = ("wait", "sleep", "send", "send", "receive", "every", "poll", "spawn")
         kind = random.choice(kinds if depth < 2 else kinds[:-1])
         if kind == "spawn":
             made.append((kind, steps(random, depth + 1)))
@@ -66,9 +66,13 @@ def act(runtime, bus, name, program, log):
         match kind:
             case "wait":
                 runtime.wait_until(lambda: False, facts[0])
+            case "sleep":
+                runtime.run_for(facts[0])
             case "send":
                 runtime.send(bus, pack_frame(facts[1], bytes([len(log) & 0xFF])))
             case "receive":
+                if facts[1] % 2:
+                    bus.received.clear()
                 got = runtime.wait_until(lambda: bool(bus.received), facts[0])
                 log.append((name, runtime.now_ns(), bus.received.pop(0) if got else None))
             case "every":
@@ -97,16 +101,24 @@ def _repeat(runtime, bus, period_s, count):
 
 
 def begin(runtime, world, name, program, log):
-    """Open the bus, answer what is heard, and run the program."""
+    """Open the bus, answer what is heard, and run the program.
+
+    A program whose first step sleeps only keeps what it hears, and one whose last step does, only
+    what others send. The rig is told so where it can be.
+    """
     bus = PortBus(world)
+    keeps, own = program[0][0] == "sleep", program[-1][0] != "sleep"
 
     def hear(frame, time_ns, transmitted):
         can_id = int.from_bytes(frame[:2], "little")
-        bus.received.append((can_id, time_ns, transmitted))
-        if can_id < ECHOED and not transmitted:
+        if own or not transmitted:
+            bus.received.append((can_id, time_ns, transmitted))
+        if can_id < ECHOED and not transmitted and not keeps:
             runtime.send(bus, pack_frame(can_id + ECHOED, frame[8:9]))
 
     runtime.listen(bus, hear)
+    if isinstance(bus.port, RemotePort):
+        bus.port.note_use(keeps=keeps, own=own)
     act(runtime, bus, name, program, log)
 
 

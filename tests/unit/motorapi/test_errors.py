@@ -93,6 +93,10 @@ def test_messages_hold_value_limit_unit_and_motor():
         motor="x", quantity="duration", value=1.0, low=2.0, high=None, unit="s", reason="for 3 rad"
     )
     assert str(one_sided) == "x: duration 1 s, allowed is at least 2 s (for 3 rad)"
+    close = errors.LimitError(
+        motor="x", quantity="position", value=5.3100001, low=None, high=5.31, unit="rad"
+    )
+    assert str(close) == "x: position 5.3100001 rad, allowed is at most 5.31 rad"
     assert "m.toml:3: velocity: unknown; leave it" in str(EXAMPLES[3])
     assert "7500h" in str(EXAMPLES[6])
     assert "reset_fault()" in str(EXAMPLES[6])

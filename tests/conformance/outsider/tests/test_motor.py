@@ -459,5 +459,5 @@ def test_model_without_gear_ratio_is_refused(rig):
     from motorhil_odrive.host.motor import OdriveMotor
 
     model = MotorModel(name="wheel", velocity_max=1.0, acceleration_max=1.0)
-    with pytest.raises(UsageError, match=r"gear_ratio = 1\.0, if there is no gear"):
+    with pytest.raises(UsageError, match=r"gear_ratio = 1\.0 if there is no gear"):
         OdriveMotor(rig.motors["left"].hardware, model)

@@ -146,6 +146,15 @@ def test_answer_that_is_missing_is_found(name):
     assert 0 < heard[at].time_ns - first.time_ns < 20 * MS  # it is the time of the request
 
 
+@pytest.mark.parametrize("name", ["mit", "dynamixel"])
+def test_answer_that_is_missing_at_the_end_is_found(name):
+    heard, files = story(name)
+    at = chosen(heard, KINDS[name][0])
+    later = Heard(heard[at].time_ns + 300 * MS, "elsewhere", bytes(16))
+    findings, _ = findings_of([*heard[:at], later], files)
+    assert broken_in(findings) == ["drive-answered"]
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_missing_answer_of_an_imported_recording_is_a_doubt(name):
     heard, files = story(name)

@@ -83,6 +83,12 @@ def test_c_program_has_answer_of_drive_by_sdo_twice_the_same(run, tmp_path):
     assert runs[1] == runs[0]
 
 
+def test_c_program_hears_frames_of_its_sleep_after_300_sockets(run, tmp_path):
+    lines, wrong, _ = run(a=[compiled("sockets", tmp_path)])
+    assert wrong == {}, lines
+    assert lines == ["a: other: 1 2 3", "a: sender:", "a: sender: 4"]
+
+
 @needs_can_utils
 def test_candump_shows_frames_of_cansend_and_drive_twice_the_same(run):
     commands = {

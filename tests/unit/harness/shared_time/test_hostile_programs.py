@@ -93,6 +93,44 @@ def test_silent_program_is_told_and_its_connection_closed(tmp_path):
     assert left["bad"] == "its connection has ended"
     assert [(name, level) for name, level, _ in told] == [("bad", "error"), ("bad", "warning")]
     assert "has kept the turn for 0.2 s" in told[0][2]
+    assert told[0][2].endswith("; waiting: good until 0.001 s")
+
+
+def test_ctrl_c_tells_who_has_the_turn_and_who_waits(tmp_path):
+    world, runtime, _ = new_world()
+    told = []
+    clock = shared_clock(world, runtime, tmp_path / "clock", told, {"busy": 60.0, "calm": 60.0})
+    is_told = threading.Event()
+
+    def calm():
+        with joined(tmp_path / "clock", "calm") as connection:
+            first_turn(connection)
+            connection.send(records.WAITING.pack(records.WAIT, 2, 0, 0, 5 * 10**9))
+            connection.send(records.COUNTED.pack(records.IDLE, 0))
+            is_told.wait(60.0)
+
+    def busy():
+        with joined(tmp_path / "clock", "busy") as connection:
+            first_turn(connection)
+            assert runtime.interrupt()
+            while not told:  # it computes
+                pass
+        is_told.set()
+
+    threads = [threading.Thread(target=one) for one in (calm, busy)]
+    for thread in threads:
+        thread.start()
+    clock.await_programs(["calm", "busy"], lambda name: True)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.wait_for_parties(clock.are_gone)
+    for thread in threads:
+        thread.join()
+    clock.close()
+    runtime.close()
+    name, level, text = told[0]
+    assert (name, level) == ("busy", "warning")
+    assert "Ctrl-C takes effect at its next wait" in text
+    assert text.endswith("; waiting: calm until 5 s")
 
 
 def test_program_that_only_sends_is_ended_before_its_frames_fill_the_memory(tmp_path, monkeypatch):
@@ -136,6 +174,7 @@ def test_program_that_has_gone_costs_the_others_nothing(tmp_path, monkeypatch):
         joined(path, "bad").close()
 
     monkeypatch.setattr(shared_clock_module.select, "poll", Watched)
+    monkeypatch.setattr(shared_clock_module._Turn, "is_late", lambda turn, stall_s: True)
     monkeypatch.setattr(shared_clock_module.SharedClock, "receive", receive)
     left, _ = run_with(tmp_path / "clock", bad)
     assert left["bad"] == "its connection has ended"
@@ -184,8 +223,8 @@ def test_program_that_ends_while_it_joins_is_named(tmp_path):
     ("record", "reason"),
     [
         (b"hello", "expected JOIN"),
-        (records.numbered(records.JOIN, 9, "bad"), "protocol 9: unknown; expected 1"),
-        (records.numbered(records.JOIN, 1, "other"), "program 'other': not awaited"),
+        (records.numbered(records.JOIN, 9, "bad"), "protocol 9: unknown; expected 2"),
+        (records.numbered(records.JOIN, 2, "other"), "program 'other': not awaited"),
     ],
 )
 def test_refused_program_hears_why(tmp_path, record, reason):

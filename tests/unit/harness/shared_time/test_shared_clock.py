@@ -44,7 +44,7 @@ def test_programs_with_shared_clock_make_frames_of_parties(tmp_path):
             kind if isinstance(kind, str) else "frame" for log in logs.values() for *_, kind in log
         }
     assert count > 10 * SEEDS
-    assert met >= {"wait", "send", "receive", "every", "spawn", "poll", "frame"}
+    assert met >= {"wait", "sleep", "send", "receive", "every", "spawn", "poll", "frame"}
 
 
 def test_port_closed_while_its_frame_is_delivered_hears_nothing(tmp_path):

@@ -201,6 +201,24 @@ def test_ended_parties_leave_nothing_in_memory(runtime):
     assert first() is None
 
 
+def test_weak_references_to_ended_threads_call_back(runtime):
+    """Check what threading's own set of threads relies on.
+
+    The compiled class of these threads kept its fields where Thread keeps weak references: freed
+    ones stayed in that set, and Python crashed at a later garbage collection.
+    """
+    called_back = []
+    party = runtime.spawn("ends", lambda: None)
+    reference = weakref.ref(party.thread, called_back.append)
+    assert party.join(1.0)
+    party.thread.join()
+    party.thread = None
+    runtime.spawn("forgets the ended one", lambda: None).join()
+    gc.collect()
+    assert called_back == [reference]
+    assert reference() is None
+
+
 def test_error_of_an_unjoined_party_is_raised_by_close():
     runtime = VirtualRuntime(EventQueue())
 

@@ -16,10 +16,12 @@ from motorhil.motorapi.api import (
     DeadlineExceeded,
     LinkError,
     MotorError,
+    PeriodicMessage,
     SetpointStream,
     UsageError,
     checked_node,
 )
+from motorhil.motorapi.synchronization.bus_load import own_traffic
 from tests.support.can.error_messages import tell
 
 COMMAND, ANSWER, ALIVE = 0x101, 0x201, 0x301
@@ -256,6 +258,61 @@ def test_exchange_repeats_its_request_until_answered(rig, drive):
     with pytest.raises(DeadlineExceeded):
         drive.exchange(ask, lambda: False, 0.05, "another", repeat_s=0.02)
     assert len(asked) == 6
+
+
+def test_ask_waits_for_an_answer_after_its_request(rig, drive):
+    drive.handle(ANSWER, lambda data, time_ns: drive.answered(data[0]))
+    rig.peer.send(pack(ANSWER, b"\1"))
+    rig.wait(0.01)  # an earlier answer, and one under another key, do not count
+    others = []
+
+    def request():
+        others.append(drive.request(COMMAND))
+        rig.peer.send(pack(ANSWER, b"\2"))
+
+    with pytest.raises(DeadlineExceeded, match="answer 1"):
+        drive.ask(1, request, 0.1, "answer 1")
+    drive.ask(2, request, 0.1, "answer 2")
+    assert len(others) == 2
+
+
+def test_repeat_pauses_while_the_bus_is_off(rig, drive):
+    runs = []
+
+    def send():
+        runs.append(rig.runtime.now_ns())
+        if len(runs) == 2:
+            raise LinkError(link="can0", reason="it is full")
+
+    drive.repeat(0.01, send)
+    rig.wait(0.035)
+    assert len(runs) == 3  # also after an error of the bus
+    tell(rig.world, "can0", "host", BUS_OFF)
+    rig.wait(0.1)
+    assert drive.status.is_off
+    assert len(runs) == 3
+
+
+@pytest.mark.parametrize(("extended", "fd"), [(False, False), (True, False), (True, True)])
+def test_noted_frames_have_the_format_of_the_drive(rig, extended, fd):
+    drive = CanDrive(rig.bus, 2, Hardware("the hardware"), extended=extended, fd=fd)
+    drive.note_frames([(ANSWER, 8, 0.01)], [(COMMAND, 4, 0.02), (COMMAND | 0x8000_0000, 2, 0.5)])
+    (traffic,) = own_traffic(rig.bus)
+    form = {"extended": extended, "fd": fd, "bit_rate_switch": fd}
+    assert traffic.sent == (PeriodicMessage(ANSWER, 8, 0.01, **form),)
+    assert traffic.ours == (
+        PeriodicMessage(COMMAND, 4, 0.02, **form),
+        PeriodicMessage(COMMAND, 2, 0.5, **(form | {"extended": True})),
+    )
+    drive.close(at_rest=True)
+
+
+def test_declared_start_is_offered(drive):
+    assert drive.own_offer() is None
+    drive.starts_by(COMMAND, 4)
+    assert drive.own_offer() == drive.start_offer(COMMAND, 4)
+    drive.starts_by(COMMAND, 48, flags=1)
+    assert drive.own_offer() == drive.start_offer(COMMAND, 48, flags=1)
 
 
 def test_bus_off_ends_waits_at_once(rig, drive):

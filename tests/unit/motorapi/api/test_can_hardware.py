@@ -133,6 +133,25 @@ def test_a_connection_is_checked_once_and_again_after_a_loss(rig):
     hardware.close()
 
 
+def test_overheard_command_ends_the_motion_and_what_was_told(rig):
+    hardware = Hardware(rig.bus, 1)
+    hardware.drive.remember("mode", 3)
+    forgotten = []
+    hardware.forget = lambda: forgotten.append(1)  # as a kind adds to it
+    hardware.overheard("command 7", 0)
+    assert forgotten == [1]
+    assert hardware.drive.remembered("mode") is None
+    hardware.close()
+
+
+def test_motor_offers_the_start_that_its_drive_declares(rig):
+    motor = build(rig.bus, {"node_id": 1}, model(gear_ratio=2.0), rig.runtime)
+    assert motor._sync_offer().no_firing_bound == "no bound is known for that command"
+    motor.hardware.drive.starts_by(0x101, 4)
+    assert motor._sync_offer() == motor.hardware.drive.start_offer(0x101, 4)
+    motor.close()
+
+
 def test_refused_hardware_leaves_its_place_free(rig):
     with pytest.raises(UsageError, match="too long"):
         Hardware(rig.bus, 1, options=DriveOptions(timeout_ms=2e3))

@@ -54,6 +54,13 @@ def test_answer_is_told_by_its_number():
     assert told(decode, 0 | RTR, "") is None
 
 
+def test_golden_answer_of_rmd_in_motion_mode_is_told():
+    # The maker's example: 9.99 rad as sent, 1.021 rad/s, 10.004 N m; the same packing.
+    ranges = {"v_max_rad_s": 45.0, "t_max_n_m": 24.0, "master_id": 0x501}
+    text = "State: p = 10 rad, v = 1.022 rad/s, t = 10 N m, temperature = 0 deg C, fault = 0"
+    assert told(build(1, AK | ranges), 0x501, "01E66582EB550000") == text
+
+
 def test_damiao_state_and_parameters_are_told():
     decode = build(1, DM)
     said = told(decode, 0x11, "D1FFFF000FFF1920")

@@ -3,6 +3,7 @@
 Frames that it sends are read by the functions of mini-cheetah-motor-driver-socketcan 0.4.3.
 """
 
+from functools import partial
 from pathlib import Path
 
 import can
@@ -27,7 +28,8 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
-from motorhil.motorapi.adaptations.mit.frames import MODELS
+from motorhil.motorapi.adaptations.mit.frames import MODELS, Command, Frames, Maker, Ranges
+from motorhil.motorapi.adaptations.mit.hardware import LIMP
 from tests.support.kit_benches import RIGS
 
 EMULATED = {name: tuple(ranges) for name, (_, ranges) in EMULATED_MODELS.items()}
@@ -88,6 +90,19 @@ def frames(rig, seconds, *, sent=None):
 def test_ranges_of_all_models_are_those_of_the_emulated_drives():
     """Each table was written by the data sheets."""
     assert {name: tuple(ranges) for name, (_, ranges) in MODELS.items()} == EMULATED
+
+
+def test_golden_frames_of_rmd_in_motion_mode():
+    """Compare with the maker's example of motion mode (400h, 500h), whose packing is the same."""
+    frames = Frames(1, 0x501, Maker.MINI_CHEETAH, Ranges(12.5, 45.0, 24.0))
+    answer = frames.answer(0x501, bytes.fromhex("01E66582EB550000"))
+    # The manual divides the code of the position by 2 to the power of 16.
+    assert answer[:3] == pytest.approx((9.99, 1.021, 10.004), abs=0.011)
+    _, sent = frames.command(Command(9.99, 1.021, 10.012, 1.0, 10.004))
+    golden = bytes.fromhex("E66682E052333B55")
+    assert sent[2:] == golden[2:]  # the position is computed as above
+    p, expected = (int.from_bytes(one[:2], "big") for one in (sent, golden))
+    assert abs(p - expected) * 25 / 65535 <= 0.011
 
 
 @pytest.mark.parametrize("drive", FIRMWARE)
@@ -376,12 +391,11 @@ def test_motion_that_is_refused_is_not_kept():
         motor = rig.motors["left"]
         motor.enable()
         hardware = motor.hardware
-        held = hardware.present()
-        far = held._replace(p=2.0)
-        hardware.close()
+        hardware.release()
+        hardware.drive.close(at_rest=True)
         with pytest.raises(LinkError, match="closed"):
-            hardware.follow(lambda at_s: far, 1.0)
-        assert hardware.present() != far
+            hardware.motions.hold((2.0, 0.0), partial(hardware.send, ControlVariable.POSITION))
+        assert hardware.present() == LIMP
 
 
 def test_reader_does_not_disturb_another_program():

@@ -2,6 +2,7 @@
 
 from math import isnan, nan, tau
 from pathlib import Path
+from struct import pack, unpack
 
 import can
 import moteus
@@ -117,6 +118,27 @@ def test_library_reads_the_commands(rig):
     )
     assert isnan(last[register.COMMAND_TIMEOUT])
     assert len(commands) > 50  # every 10 ms, until it is there
+
+
+def test_single_precision_of_registers_does_not_accumulate(rig):
+    """Check that a motor leaves its limit, and comes back to the same bits after relative motions.
+
+    5.31 rad are 55.7776 turns of the motor, which single precision rounds up by 1.5e-7 rad.
+    """
+    motor = rig.motors["left"]
+    motor.enable()
+    limits = DerivativeLimits(value=(-0.1, 5.31))
+    motor.set_control_mode(ControlMode.SETPOINT)
+    motor.set_setpoint(5.31, limits=limits)
+    motor.start()
+    motor.wait_until_done(timeout_s=6)
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    for way in [-0.1] * 3 + [0.1] * 3:
+        motor.set_trajectory(TrapezoidalTrajectory(way, limits=limits))
+        motor.start()
+        last = heard_commands(rig, 0.6)[-1]
+        assert motor.is_done()
+    assert last[moteus.Register.COMMAND_POSITION] == unpack("<f", pack("<f", 5.31 * REV))[0]
 
 
 def test_stop_slows_down_and_holds(rig):

@@ -21,13 +21,13 @@ def _set_axis_state(drive: "OdriveController", state: int) -> None:
     if state in tuple(AxisState):
         drive.request(AxisState(state))
     else:
-        drive.note("warning", f"there is no axis state {state}")
+        drive.warn(f"there is no axis state {state}")
 
 
 def _set_controller_mode(drive: "OdriveController", control: int, mode: int) -> None:
     known = control in tuple(ControlMode) and mode in tuple(InputMode)
     if not known or not drive.control.set_mode(ControlMode(control), InputMode(mode)):
-        drive.note("warning", f"control mode {control} with input mode {mode} is not emulated")
+        drive.warn(f"control mode {control} with input mode {mode} is not emulated")
 
 
 def _set_input_pos(drive: "OdriveController", rev: float, velocity: int, torque: int) -> None:
@@ -60,7 +60,7 @@ def _reboot(drive: "OdriveController", action: int) -> None:
     elif action in tuple(Action):
         drive.reboot()
     else:
-        drive.note("warning", f"there is no action {action}")
+        drive.warn(f"there is no action {action}")
 
 
 def _clear_errors(drive: "OdriveController", identify: int) -> None:
@@ -74,7 +74,7 @@ def _enter_dfu_mode(drive: "OdriveController") -> None:
 
 def _is_sane(drive: "OdriveController", name: str, value: float) -> bool:
     if abs(value) > _FAR_REV:
-        drive.note("warning", f"{name} = {value:g} is ignored")
+        drive.warn(f"{name} = {value:g} is ignored")
         return False
     return True
 
@@ -84,7 +84,7 @@ def _parameters(*names: str) -> "Callable[..., None]":
 
     def write(drive: "OdriveController", *values: float) -> None:
         if any(not 0.0 <= value <= _FAR_REV for value in values):
-            drive.note("warning", f"{', '.join(names)} = {values} is ignored")
+            drive.warn(f"{', '.join(names)} = {values} is ignored")
             return
         given = dict(zip(names, values, strict=True))
         drive.control.take(replace(drive.control.parameters, **given))  # type: ignore[arg-type]  # names of its own fields

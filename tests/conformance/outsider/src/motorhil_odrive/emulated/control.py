@@ -17,11 +17,11 @@ This module gives them ODrive's meaning. Positions are turns of the motor.
 from dataclasses import dataclass, replace
 from typing import Final, final
 
-from motorhil.emulators.api import axis_of
+from motorhil.emulators.api import Axis, MotorSettings
 from motorhil.emulators.api import flags as f
 
 from motorhil_odrive.emulated.messages import ControlMode, InputMode
-from motorhil_odrive.emulated.settings import OdriveSettings
+from motorhil_odrive.emulated.settings import OdriveTable
 
 _AT_ONCE: Final = 1e9  # a ramp without duration [rev/s^2]
 _SLOPE: Final = 1e300  # likewise [A/s]
@@ -67,9 +67,9 @@ class Control:
         torque_target_n_m: the last torque input.
     """
 
-    def __init__(self, settings: OdriveSettings) -> None:
-        motor = settings.motor
-        self.axis: Final = axis_of(motor, motor.oscillator.rate())
+    def __init__(self, axis: Axis, motor: MotorSettings, settings: OdriveTable) -> None:
+        self.axis: Final = axis
+        self._motor: Final = motor
         self.parameters = Parameters()
         self.is_armed = False
         self.trajectory_done = True
@@ -136,7 +136,7 @@ class Control:
 
     def take(self, parameters: Parameters) -> None:
         """Activate these parameters; an active motion keeps its profile."""
-        plant, mine = self._settings.motor.plant, self._settings.motor.gains
+        plant, mine = self._motor.plant, self._motor.gains
         self.parameters = parameters
         amps = plant.current_max_a
         self.axis.set_current_limit(

@@ -17,11 +17,12 @@ from typing import Final, final
 from motorhil.emulators.api import (
     EFF_FLAG,
     ERR_FLAG,
-    NEVER_NS,
     RTR_FLAG,
+    ControllerContext,
     MotorDrive,
     can_id_of,
     data_of,
+    ns,
     pack,
 )
 
@@ -30,7 +31,7 @@ from motorhil_odrive.emulated.commands import COMMANDS
 from motorhil_odrive.emulated.control import Control, Parameters
 from motorhil_odrive.emulated.homing import Homing
 from motorhil_odrive.emulated.messages import AxisState, Error, ProcedureResult
-from motorhil_odrive.emulated.settings import OdriveSettings
+from motorhil_odrive.emulated.settings import OdriveTable
 from motorhil_odrive.emulated.told import told
 
 _CALIBRATIONS: Final = (
@@ -57,34 +58,29 @@ class OdriveController(MotorDrive):
         active_errors, disarm_reason: bits of `Error`.
     """
 
-    def __init__(self, settings: OdriveSettings, events: Sequence[tuple[str, str]] = ()) -> None:
+    def __init__(self, settings: OdriveTable, context: ControllerContext) -> None:
         self.settings: Final = settings
-        self.control: Final = Control(settings)
-        super().__init__(self.control.axis, _ERRORS)
+        self.motor: Final = settings.motor(context.stream())
+        super().__init__(self.motor, _ERRORS)
+        self.control: Final = Control(self.axis, self.motor, settings)
         self.state = AxisState.UNDEFINED
         self.result = ProcedureResult.SUCCESS
         self.active_errors = 0
         self.disarm_reason = 0
         self.node_id = settings.node_id
         self._saved = Parameters()
-        self._boot_ns = self._heartbeat_ns = self._encoder_ns = NEVER_NS
-        self._watchdog_ns = self._calibrated_ns = NEVER_NS
         self._homing: Homing | None = None
-        self._now_ns = 0
-        for level, text in events:
-            self.note(level, text)
-        self._revision = 0
 
     # --- Controller ------------------------------------------------------------------------------
 
     def boot(self, now_ns: int) -> None:
         """Begin anew with power."""
-        self.reboot(now_ns)
+        self.reboot()
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Handle a frame from the bus."""
         can_id = can_id_of(data)
-        if can_id & (EFF_FLAG | ERR_FLAG) or not self.is_powered or self._boot_ns != NEVER_NS:
+        if can_id & (EFF_FLAG | ERR_FLAG) or not self.is_powered or self._boot in self.due_ns:
             return
         command, node_id = can_id & m.COMMAND_MASK, (can_id & 0x7FF) >> m.COMMAND_BITS
         is_remote = bool(can_id & RTR_FLAG)
@@ -100,41 +96,34 @@ class OdriveController(MotorDrive):
         elif command in COMMANDS:
             layout, _ = m.HEARD[command]
             if len(payload) < layout.size:
-                self.note("warning", f"message {command:02X}h of {len(payload)} bytes is too short")
+                self.warn(f"message {command:02X}h of {len(payload)} bytes is too short")
                 return
             values = layout.unpack_from(payload)
             if all(isfinite(value) for value in values):
                 COMMANDS[command](self, *values)
             else:
-                self.note("warning", f"message {command:02X}h with {values} is ignored")
+                self.warn(f"message {command:02X}h with {values} is ignored")
         elif command == m.RX_SDO:
-            self.note("warning", "access to endpoints (04h) is not emulated")
+            self.warn("access to endpoints (04h) is not emulated")
 
-    def next_deadline_ns(self) -> int | None:
-        """Return the latest time of the next call of `expire` [ns]."""
-        due_ns = min(self._boot_ns, self._heartbeat_ns, self._encoder_ns, self._watchdog_ns)
-        due_ns = min(due_ns, self._calibrated_ns)
-        if self._homing is not None:
-            due_ns = min(due_ns, self._homing.wake_ns())
-        return None if due_ns >= NEVER_NS else due_ns
+    def watches(self) -> bool:
+        """Return whether the edges of its switch must be noticed."""
+        return self._homing is not None
 
-    def expire(self, now_ns: int) -> None:
-        """Do everything that is due at `now_ns`."""
-        if now_ns >= self._boot_ns:
-            self._boot_ns = NEVER_NS
-            self._boot(now_ns)
-        self.advance(now_ns)
-        if now_ns >= self._watchdog_ns:
-            self.active_errors |= Error.WATCHDOG_TIMER_EXPIRED
-            self.fail(Error.WATCHDOG_TIMER_EXPIRED)
-        if now_ns >= self._calibrated_ns:
-            self._rest(ProcedureResult.SUCCESS)
-        if now_ns >= self._encoder_ns:
-            self._encoder_ns += self.settings.encoder_ns
-            self.tell(m.GET_ENCODER_ESTIMATES)
-        if now_ns >= self._heartbeat_ns:
-            self._heartbeat_ns += self.settings.heartbeat_ns
-            self.tell(m.HEARTBEAT)
+    def _miss_messages(self) -> None:
+        self.active_errors |= Error.WATCHDOG_TIMER_EXPIRED
+        self.fail(Error.WATCHDOG_TIMER_EXPIRED)
+
+    def _end_calibration(self) -> None:
+        self._rest(ProcedureResult.SUCCESS)
+
+    def _tell_estimates(self) -> None:
+        self.wake(self._tell_estimates, ns(self.settings.timing.encoder_s))
+        self.tell(m.GET_ENCODER_ESTIMATES)
+
+    def _tell_heartbeat(self) -> None:
+        self.wake(self._tell_heartbeat, ns(self.settings.timing.heartbeat_s))
+        self.tell(m.HEARTBEAT)
 
     def stimulate(self, name: str, value: float, now_ns: int) -> None:
         """Connect or disconnect the encoder (1, 0), or set an input of every drive.
@@ -177,10 +166,6 @@ class OdriveController(MotorDrive):
         own += [] if everybody in own else [everybody]
         return [can_id | flag for flag in (0, RTR_FLAG) for can_id in own]
 
-    def identifiers_revision(self) -> int:
-        """Return a number that grows when the node-ID changes."""
-        return self._revision
-
     # --- axis states -----------------------------------------------------------------------------
 
     def request(self, state: AxisState) -> None:
@@ -190,7 +175,7 @@ class OdriveController(MotorDrive):
             self._rest(self.result if was_at_rest else ProcedureResult.CANCELLED)
         elif self.active_errors or self.disarm_reason:
             self.result = ProcedureResult.INVALID_STATE
-            self.note("warning", f"{state.name} refused: errors {self.errors():08X}h")
+            self.warn(f"{state.name} refused: errors {self.errors():08X}h")
         elif state is AxisState.CLOSED_LOOP_CONTROL:
             self._enter(state)
             self.control.arm()
@@ -198,10 +183,10 @@ class OdriveController(MotorDrive):
             self._home()
         elif state in _CALIBRATIONS:
             self._enter(state)
-            self._calibrated_ns = self._now_ns + self.settings.calibration_ns
+            self.wake(self._end_calibration, ns(self.settings.timing.calibration_s))
         else:
             self._rest(ProcedureResult.INVALID_STATE)
-            self.note("warning", f"{state.name} is not emulated")
+            self.warn(f"{state.name} is not emulated")
 
     def fail(self, bits: int) -> None:
         """Disarm the axis with an error."""
@@ -226,16 +211,16 @@ class OdriveController(MotorDrive):
         """Restore the default parameters for the next boot."""
         self._saved = Parameters()
 
-    def reboot(self, now_ns: int | None = None) -> None:
+    def reboot(self) -> None:
         """Restart, as at power-on."""
         self.fall_silent()
-        self._boot_ns = self.settings.boot_up_ns + (self._now_ns if now_ns is None else now_ns)
+        self.due_ns[self._boot] = self.now_ns + ns(self.settings.timing.boot_up_s)
 
     def fall_silent(self) -> None:
         """Send nothing more; the motor has no current."""
         self._rest(ProcedureResult.SUCCESS)
         self.state = AxisState.UNDEFINED
-        self._boot_ns = self._heartbeat_ns = self._encoder_ns = self._watchdog_ns = NEVER_NS
+        self.cancel_times()
 
     def tell(self, command: int) -> None:
         """Queue a message, if the drive has one of this kind."""
@@ -245,23 +230,21 @@ class OdriveController(MotorDrive):
 
     # --- helpers ---------------------------------------------------------------------------------
 
-    def _boot(self, now_ns: int) -> None:
-        self.control.axis.at(now_ns)
+    def _boot(self) -> None:
         self.control.power_on(self._saved)
         self.state, self.result = AxisState.IDLE, ProcedureResult.SUCCESS
         self.disarm_reason = 0
         self.active_errors &= Error.MISSING_ESTIMATE
-        if self.settings.heartbeat_ns:
-            self._heartbeat_ns = now_ns
-        if self.settings.encoder_ns:
-            self._encoder_ns = now_ns
-        self._now_ns = now_ns
+        timing = self.settings.timing
+        if timing.encoder_s:
+            self._tell_estimates()
+        if timing.heartbeat_s:
+            self._tell_heartbeat()
 
     def advance(self, now_ns: int) -> None:
         """Update the drive to this time."""
-        self._now_ns = now_ns
+        super().advance(now_ns)
         control = self.control
-        control.axis.at(now_ns)
         control.settle()
         if self._homing is not None and self._homing.settle():
             self._homing = None
@@ -271,18 +254,18 @@ class OdriveController(MotorDrive):
 
     def _feed_watchdog(self) -> None:
         self.active_errors &= ~Error.WATCHDOG_TIMER_EXPIRED
-        if self.settings.watchdog_ns and self.state is not AxisState.IDLE:
-            self._watchdog_ns = self._now_ns + self.settings.watchdog_ns
+        if self.state is not AxisState.IDLE:
+            self.wake(self._miss_messages, ns(self.settings.watchdog_s))
 
     def _home(self) -> None:
-        motor = self.settings.motor
+        plant = self.motor.plant
         endstop_rad = self.settings.min_endstop_rad
         if endstop_rad is None:
             self._rest(ProcedureResult.HOMING_WITHOUT_ENDSTOP)
             return
         self._enter(AxisState.HOMING)
         self.control.arm()
-        inc_rad = motor.plant.gear_ratio * motor.plant.increments_per_rad()
+        inc_rad = plant.gear_ratio * plant.increments_per_rad()
         self._homing = Homing(self.control, int(endstop_rad * inc_rad // 1.0))
 
     def _enter(self, state: AxisState) -> None:
@@ -295,7 +278,8 @@ class OdriveController(MotorDrive):
         if self._homing is not None:
             self._homing.abandon()
             self._homing = None
-        self._calibrated_ns = self._watchdog_ns = NEVER_NS
+        self.wake(self._end_calibration, 0)
+        self.wake(self._miss_messages, 0)
         self.control.disarm()
         self.state, self.result = AxisState.IDLE, result
 
@@ -314,7 +298,7 @@ class OdriveController(MotorDrive):
 
     def _call_it(self, node_id: int) -> None:
         self.node_id = node_id
-        self._revision += 1
+        self.renumber()
         self.note("info", f"its node-ID is {node_id} now")
 
 

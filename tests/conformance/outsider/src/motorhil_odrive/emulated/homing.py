@@ -8,7 +8,6 @@ How the axis leaves the switch is a choice of this emulator.
 from enum import Enum
 from typing import Final, final
 
-from motorhil.emulators.api import NEVER_NS
 from motorhil.emulators.api import flags as f
 
 from motorhil_odrive.emulated.control import Control
@@ -51,10 +50,6 @@ class Homing:
             self.abandon()
             return True
         return False
-
-    def wake_ns(self) -> int:
-        """Return when the switch opens or closes, or a ramp ends [ns]; NEVER_NS if never."""
-        return self._control.axis.event_ns(NEVER_NS)
 
     def abandon(self) -> None:
         """Ignore the switch from now on."""

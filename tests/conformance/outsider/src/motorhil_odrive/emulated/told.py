@@ -23,7 +23,7 @@ def told(drive: "OdriveController", command: int) -> tuple[float, ...]:
 
 def _measured(drive: "OdriveController", command: int) -> tuple[float, float]:
     control, axis = drive.control, drive.control.axis
-    plant = drive.settings.motor.plant
+    plant = drive.motor.plant
     current_a = axis.current_a()
     shaft_rad_s = axis.output_velocity_rad_s() * plant.gear_ratio
     mechanical_w = plant.torque_constant_n_m_a * current_a * shaft_rad_s

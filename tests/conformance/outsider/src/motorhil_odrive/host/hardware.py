@@ -6,16 +6,9 @@ nothing of their use in an application.
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, ClassVar, Final, final
 
-from motorhil.motorapi.api import (
-    CanDrive,
-    LinkError,
-    PeerError,
-    PeriodicMessage,
-    SentFrame,
-    checked_node,
-)
+from motorhil.motorapi.api import CanHardware, PeerError, SentFrame
 
 from motorhil_odrive.host import messages as m
 from motorhil_odrive.host.heard import Heard, Heartbeat
@@ -23,8 +16,7 @@ from motorhil_odrive.host.messages import decoded, encoded
 from motorhil_odrive.host.options import OdriveOptions
 
 if TYPE_CHECKING:
-    import can
-    from motorhil.motorapi.api import BoundFence, Runtime, SetpointStream
+    from motorhil.motorapi.api import BoundFence, SetpointStream
 
     from motorhil_odrive.host.messages import Message
 
@@ -43,86 +35,73 @@ _TO_DRIVE: Final = sorted(set(range(1 << 5)) - {one.command for one in m.TOLD_BY
 
 
 @final
-class OdriveHwMotor:
-    """One ODrive on a CAN bus, by node-ID; shared by all logical motors and threads.
-
-    Args:
-        bus: an open python-can bus with any interface.
-        node_id: the drive's node-ID, 0..62.
-        runtime: the runtime for waits; None: the bus's own (virtual time), else wall time.
-        options: see OdriveOptions.
+class OdriveHwMotor(CanHardware[OdriveOptions]):
+    """One ODrive on a CAN bus, by node-ID; see `CanHardware`.
 
     Attributes:
-        drive: its connection.
         heard: the last received messages.
         stream: the last streamed set-points, or None.
         held: the last commanded position [rev]; None: not known.
-        users: the number of motors built on it from settings; the last one closes it.
-
-    Raises:
-        UsageError: a hardware object for this drive exists already; names it.
     """
 
-    def __init__(
-        self,
-        bus: "can.BusABC",
-        node_id: int,
-        *,
-        runtime: "Runtime | None" = None,
-        options: OdriveOptions | None = None,
-    ) -> None:
-        checked_node(node_id, NODE_ID_MAX, "node_id of an ODrive")
-        self.node_id: Final = node_id
-        self.options: Final = OdriveOptions() if options is None else options
+    OPTIONS = OdriveOptions
+    NOUN: ClassVar[str] = "an ODrive"
+    NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
+    LACKS: str = "heartbeat, estimate and version"
+
+    def _begin(self) -> None:
+        own, drive = self.options, self.drive
+        self.CONNECT_S = own.connect_timeout_s
         self.stream: SetpointStream | None = None
         self.held: float | None = None
-        self.users = 0
         self._feeds = False  # whether this program was the last to command the drive
-        self.drive: Final = CanDrive(bus, node_id, self, runtime=runtime)
-        self.label: Final = self.drive.label
-        timeout_s = self.options.heartbeat_timeout_ms / 1e3
-        self.heard: Final = Heard(self.drive, timeout_s, self._lose)
+        self.heard: Heard = Heard(drive, own.heartbeat_timeout_ms / 1e3, self._lose)
         for message in m.TOLD_BY_DRIVE:
-            self.drive.handle(self._id_of(message), partial(self._on_message, message))
+            drive.handle(self._id_of(message), partial(self._on_message, message))
         for command in _TO_DRIVE:
-            self.drive.handle(node_id << 5 | command, partial(self._overheard, command))
-        self.drive.every(self.options.watchdog_feed_ms / 1e3, self._feed)
+            drive.handle(self.node_id << 5 | command, partial(self._on_foreign, command))
+        drive.repeat(own.watchdog_feed_ms / 1e3, self._feed)
+        drive.starts_by(self._id_of(m.INPUT_POSITION), m.INPUT_POSITION.length)
 
     def __repr__(self) -> str:
         heartbeat = self.heard.heartbeat
         what = "not heard" if heartbeat is None else f"axis state {heartbeat.state}"
         return f"<OdriveHwMotor {self.label}: {'closed' if self.is_closed else what}>"
 
-    @property
-    def is_closed(self) -> bool:
-        """True after `close`."""
-        return self.drive.is_closed
+    def _knows(self) -> bool:
+        return self.heard.is_up()
 
-    def close(self) -> None:
-        """Stop sending and receiving; the drive's watchdog stops it, if there is one."""
+    def _greet(self) -> None:
+        self._request(m.VERSION)
+
+    def _rests(self) -> bool:
         watch = self.heard.watch
-        self.drive.close(at_rest=watch is None or watch.is_over())
-        self.end_stream()
+        return watch is None or watch.is_over()
 
-    def connect(self) -> None:
-        """Wait until the drive is heard, and check its protocol; free if this is known.
-
-        Raises:
-            LinkError: the drive is not heard, this object is closed, or the bus is off.
-            PeerError: the drive uses another protocol version.
-        """
-        heard, timeout_s = self.heard, self.options.connect_timeout_s
-        if heard.is_up() and not self.is_closed and not self.drive.status.is_off:
-            return
-        lacks = "heartbeat, estimate and version"
-        self.drive.connect(heard.is_up, lambda: self._request(m.VERSION), timeout_s, lacks)
+    def _connected(self) -> None:
+        """Check its protocol (PeerError), and declare the traffic."""
+        heard, options = self.heard, self.options
         protocol = 0 if heard.version is None else int(heard.version[0])
         if protocol != m.PROTOCOL:
             heard.version = None
             raise PeerError(
                 f"{self.label}: it speaks version {protocol} of CANSimple, not {m.PROTOCOL}"
             )
-        self._note_traffic()
+        heartbeat_s = min(options.watchdog_feed_ms / 1e3, _ASK_S)
+        heartbeat, estimates = self._id_of(m.HEARTBEAT), self._id_of(m.ESTIMATES)
+        self.drive.note_frames(
+            [
+                (heartbeat, m.HEARTBEAT.length, heartbeat_s),
+                (estimates, m.ESTIMATES.length, options.estimate_period_ms / 1e3),
+            ],
+            [(heartbeat, 0, heartbeat_s)],
+        )
+
+    def forget(self) -> None:
+        """Send no more set-points, and forget what the drive was told."""
+        self.end_stream()
+        self._feeds = False
+        self.doubt()
 
     # --- commands ----------------------------------------------------------------------------
 
@@ -234,36 +213,15 @@ class OdriveHwMotor:
         if values is not None:
             self.heard.hear(message, values, time_ns)
 
-    def _overheard(self, command: int, _: bytes, time_ns: int) -> None:
+    def _on_foreign(self, command: int, _: bytes, time_ns: int) -> None:
         """Handle a command to the drive from another program, or from a tool."""
         self.doubt()
         self._feeds = False  # its watchdog is now fed by that program
         watch = self.heard.watch
         if command in _COMMANDS and watch is not None and watch.moves:
-            self.end_stream()
-            self.drive.overheard(f"message {command:02X}h", time_ns)
-
-    def _lose(self) -> None:
-        self._feeds = False
-        self.doubt()
+            self.overheard(f"message {command:02X}h", time_ns)
 
     def _feed(self) -> None:
         """Feed the drive's watchdog if this program commanded last."""
-        if self._feeds and not self.drive.status.is_off:
-            try:
-                self.ask_for_heartbeat()
-            except LinkError:
-                self._feeds = False
-
-    def _note_traffic(self) -> None:
-        options = self.options
-        heartbeat_s = min(options.watchdog_feed_ms / 1e3, _ASK_S)
-        estimates_s = options.estimate_period_ms / 1e3
-        heartbeat, estimates = self._id_of(m.HEARTBEAT), self._id_of(m.ESTIMATES)
-        self.drive.note_traffic(
-            sent=(
-                PeriodicMessage(heartbeat, m.HEARTBEAT.length, heartbeat_s),
-                PeriodicMessage(estimates, m.ESTIMATES.length, estimates_s),
-            ),
-            ours=(PeriodicMessage(heartbeat, 0, heartbeat_s),),
-        )
+        if self._feeds:
+            self.ask_for_heartbeat()

@@ -11,10 +11,10 @@ Commands contain positions, never distances, so that a repeated frame does no ha
 that are functions are refused. Motors start one after another: CANSimple has no common signal.
 """
 
-from collections.abc import Callable
 from typing import Final, final
 
 from motorhil.motorapi.api import (
+    CanMotor,
     ControlMode,
     ControlVariable,
     Fault,
@@ -22,7 +22,6 @@ from motorhil.motorapi.api import (
     Motion,
     MotionInterrupted,
     MotionTimes,
-    Motor,
     MotorModel,
     MotorState,
     PeerError,
@@ -48,38 +47,12 @@ _SUPPORTED: Final = (ControlVariable.POSITION, ControlVariable.VELOCITY, Control
 
 
 @final
-class OdriveMotor(Motor):
-    """A logical motor on an ODrive; several of them may share one hardware object.
+class OdriveMotor(CanMotor[OdriveHwMotor]):
+    """A logical motor on an ODrive; several of them may share one hardware object."""
 
-    Args:
-        hardware: the drive.
-        model: the motor's constants; its gear ratio is required.
-        name: its name in messages and records; None: the model's name and the drive's place.
-        on_close: called once when the motor is closed. The hardware object belongs to its creator.
-    """
-
-    def __init__(
-        self,
-        hardware: OdriveHwMotor,
-        model: MotorModel,
-        *,
-        name: str | None = None,
-        on_close: Callable[[], None] | None = None,
-    ) -> None:
-        super().__init__(
-            name=name,
-            model=model,
-            runtime=hardware.drive.runtime,
-            physical=hardware.drive.physical,
-            on_close=on_close,
-        )
-        self._hardware = hardware
-        self._units = Units(model)
-
-    @property
-    def hardware(self) -> OdriveHwMotor:
-        """The drive, with all its abilities."""
-        return self._hardware
+    def _units_of(self, model: MotorModel) -> float:
+        self._scale = Units(model)
+        return self._scale.rev
 
     # --- capabilities ----------------------------------------------------------------------
 
@@ -87,58 +60,53 @@ class OdriveMotor(Motor):
         return variable in _SUPPORTED
 
     def _quantise(self, motion: Motion) -> Motion:
-        return self._units.rounded(motion)
+        return self._scale.rounded(motion)
 
-    # --- connecting, state and measurements -------------------------------------------------
-
-    def _connect(self) -> None:
-        self._hardware.connect()
+    # --- state and measurements -------------------------------------------------------------
 
     def _latest_fault(self) -> Fault | None:
-        return self._hardware.heard.fault()
+        return self.hardware.heard.fault()
 
     def _read_referenced(self) -> bool:
-        return self._hardware.heard.is_homed
+        return self.hardware.heard.is_homed
 
     def _read_reference(self) -> float:
-        hardware = self._hardware
+        hardware = self.hardware
         watch, held = hardware.heard.watch, hardware.held
         rests = watch is None or watch.is_over()
         if held is None or not rests or not hardware.heard.is_in(m.CLOSED_LOOP):
             return self._read_position()
-        return held / self._units.rev
+        return held / self._units
 
     def _read_torque(self) -> float:
-        return self._hardware.ask(m.TORQUES)[1] / self._units.n_m
+        return self.hardware.ask(m.TORQUES)[1] / self._scale.n_m
 
     def _latest(self) -> Measurement | None:
-        heartbeat, estimate = self._hardware.heard.heartbeat, self._hardware.heard.estimate
+        heartbeat, estimate = self.hardware.heard.heartbeat, self.hardware.heard.estimate
         if heartbeat is None or estimate is None:
             return None
         state = MotorState.DISABLED
         if heartbeat.error:
             state = MotorState.FAULT
-        elif self._hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
+        elif self.hardware.heard.is_in(m.CLOSED_LOOP, m.HOMING):
             state = MotorState.ENABLED
-        rev = self._units.rev
-        return Measurement(
-            estimate.time_ns, state, estimate.position / rev, estimate.velocity / rev
-        )
+        position, velocity = estimate.position / self._units, estimate.velocity / self._units
+        return Measurement(estimate.time_ns, state, position, velocity)
 
     def _position_source(self) -> str:
         return "encoder estimate, message 09h"
 
     def _refresh(self) -> float | None:
         """Request a heartbeat during a command, so that it comes sooner than by itself."""
-        watch = self._hardware.heard.watch
-        if watch is not None and not watch.is_over() and not self._hardware.drive.is_lost:
-            self._hardware.ask_for_heartbeat()
+        watch = self.hardware.heard.watch
+        if watch is not None and not watch.is_over() and not self.hardware.drive.is_lost:
+            self.hardware.ask_for_heartbeat()
         return _REFRESH_S
 
     # --- power, fault, reference ------------------------------------------------------------
 
     def _enable(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         if hardware.heard.is_in(m.CLOSED_LOOP):  # after a quick stop
             return
         hardware.heard.follow(None)
@@ -152,23 +120,21 @@ class OdriveMotor(Motor):
             return heard.state == m.CLOSED_LOOP or len(denied) > 1
 
         heartbeat = hardware.await_heartbeat(is_answered, _STATE_S)
-        fault = hardware.heard.fault()
-        if fault is not None:
-            raise fault.as_error(self.name)
+        self._check_fault()
         if heartbeat.state != m.CLOSED_LOOP:
             raise PeerError(
                 f"{self.name}: closed loop was refused: {m.result_text(heartbeat.result)}"
             )
 
     def _disable(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         hardware.end_stream()
         hardware.heard.follow(None)
         hardware.tell(m.AXIS_STATE, m.IDLE)
         hardware.await_heartbeat(lambda heard: heard.state == m.IDLE, _STATE_S)
 
     def _reset_fault(self) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         hardware.end_stream()
         hardware.heard.follow(None)
         hardware.tell(m.AXIS_STATE, m.IDLE)
@@ -176,12 +142,10 @@ class OdriveMotor(Motor):
         # One heartbeat may have been queued before the command: its errors are old.
         hardware.await_heartbeat(lambda heard: heard.time_ns > sent_ns, _STATE_S)
         hardware.await_heartbeat(lambda heard: True, _STATE_S)
-        fault = hardware.heard.fault()
-        if fault is not None:
-            raise fault.as_error(self.name)
+        self._check_fault()
 
     def _home(self, method: int | None) -> None:
-        hardware = self._hardware
+        hardware = self.hardware
         hardware.end_stream()
         if method in _HERE:
             window = hardware.options.position_window_rev
@@ -196,19 +160,19 @@ class OdriveMotor(Motor):
     # --- motion -----------------------------------------------------------------------------
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
-        hardware = self._hardware
-        start = Start(hardware, self._units, self._units.rounded(motion), self.model)
+        hardware = self.hardware
+        start = Start(hardware, self._scale, self._scale.rounded(motion), self.model)
         prepare(start)
         hardware.heard.follow(Armed(hardware.heard.watch))
         return start
 
     def _disarm(self) -> None:
-        watch = self._hardware.heard.watch
+        watch = self.hardware.heard.watch
         if isinstance(watch, Armed):
-            self._hardware.heard.follow(watch.before)
+            self.hardware.heard.follow(watch.before)
 
     def _confirm(self, motion: Motion) -> None:
-        hardware, heard = self._hardware, self._hardware.heard
+        hardware, heard = self.hardware, self.hardware.heard
         watch = heard.watch
         if not isinstance(watch, Arrival):
             return
@@ -224,12 +188,10 @@ class OdriveMotor(Motor):
             raise PeerError(f"{self.name}: the drive did not take the set-point; it did not move")
 
     def _is_done(self) -> bool:
-        hardware = self._hardware
+        hardware = self.hardware
         hardware.drive.check()
         watch = hardware.heard.watch
-        fault = hardware.heard.fault()
-        if fault is not None:
-            raise fault.as_error(self.name)
+        self._check_fault()
         if watch is None:
             return True
         stream = hardware.stream
@@ -245,7 +207,7 @@ class OdriveMotor(Motor):
         return watch.is_over()
 
     def _switched_off(self) -> MotionInterrupted:
-        heartbeat = self._hardware.heard.heartbeat
+        heartbeat = self.hardware.heard.heartbeat
         assert heartbeat is not None  # a motion has begun
         told = m.result_text(heartbeat.result)
         by = f"the drive, now in axis state {heartbeat.state} ({told})"
@@ -253,12 +215,12 @@ class OdriveMotor(Motor):
 
     def _stop(self) -> None:
         size = self._physical.stop_deceleration(self.model.deceleration)
-        brake(self._hardware, size, self._units)
+        brake(self.hardware, size, self._scale)
 
     # --- the hardware itself ----------------------------------------------------------------
 
     def _open_low_level(self) -> OdriveHwMotor:
-        stream = self._hardware.stream
+        stream = self.hardware.stream
         if stream is not None and stream.is_going:
             raise StateError(
                 motor=self.name,
@@ -266,14 +228,11 @@ class OdriveMotor(Motor):
                 state="set-points are being streamed to it",
                 remedy="stop() first",
             )
-        self._hardware.heard.follow(None)
-        return self._hardware
-
-    def _close_low_level(self) -> None:
-        self._hardware.doubt()
+        self.hardware.heard.follow(None)
+        return self.hardware
 
     def _motion_times(self) -> MotionTimes | None:
-        watch = self._hardware.heard.watch
+        watch = self.hardware.heard.watch
         if watch is None or isinstance(watch, Rest | Armed):
             return None
         source = "its set-point on the bus; trajectory done in its heartbeat"

@@ -1,13 +1,9 @@
 """Options of the host for one ODrive."""
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
-from motorhil.motorapi.api import REQUIRED, Options, number, text, whole
-
-
-def _positive(default: float, unit: str, doc: str) -> Any:
-    return number(default, 0, unit=unit, doc=doc, above=True)
+from motorhil.motorapi.api import REQUIRED, Options, positive, text, whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,23 +14,23 @@ class OdriveOptions(Options):
         UsageError: a value is not > 0.
     """
 
-    heartbeat_timeout_ms: float = _positive(
+    heartbeat_timeout_ms: float = positive(
         300.0, "ms", "Time without a heartbeat after which the drive is lost."
     )
-    watchdog_feed_ms: float = _positive(
+    watchdog_feed_ms: float = positive(
         50.0, "ms", "Period of feeding the drive's watchdog, by the last commander."
     )
-    estimate_period_ms: float = _positive(
+    estimate_period_ms: float = positive(
         10.0, "ms", "Configured period of the drive's encoder estimates."
     )
-    stream_period_ms: float = _positive(
+    stream_period_ms: float = positive(
         5.0, "ms", "Period of streamed set-points of velocity or torque."
     )
-    connect_timeout_s: float = _positive(3.0, "s", "Time for a drive that is still booting.")
-    velocity_window: float = _positive(
+    connect_timeout_s: float = positive(3.0, "s", "Time for a drive that is still booting.")
+    velocity_window: float = positive(
         0.02, "", "Share of velocity_max within which a velocity set-point is reached."
     )
-    position_window_rev: float = _positive(
+    position_window_rev: float = positive(
         0.01, "rev", "Distance from the target, in motor turns, within which a motion ends."
     )
 

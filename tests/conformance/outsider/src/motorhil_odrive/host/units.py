@@ -11,7 +11,7 @@ from dataclasses import replace
 from math import tau
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.api import ControlVariable, Motion, MotionKind, UsageError
+from motorhil.motorapi.api import ControlVariable, Motion, MotionKind, motor_turns
 
 if TYPE_CHECKING:
     from motorhil.motorapi.api import MotorModel
@@ -28,16 +28,10 @@ class Units:
     """
 
     def __init__(self, model: "MotorModel") -> None:
-        linear = model.kind is MotionKind.LINEAR
-        if model.gear_ratio is None:
-            key = "motor_turns_per_m" if linear else "gear_ratio"
-            raise UsageError(
-                f"motor model {model.name}: {key} is not given, and an ODrive counts turns of the"
-                f" motor; add it ({key} = 1.0, if there is no gear)"
-            )
-        self.rev: Final = model.gear_ratio / (1.0 if linear else tau)
+        self.rev: Final = motor_turns(model)
         """Turns of the motor per U, signed."""
-        self.n_m: Final = 1.0 / (tau * model.gear_ratio if linear else model.gear_ratio)
+        way = tau if model.kind is MotionKind.LINEAR else 1.0
+        self.n_m: Final = 1.0 / (way * (model.gear_ratio or 1.0))
         """Torque at the motor per N m (or N) at the output, signed."""
 
     def of(self, variable: ControlVariable) -> float:
