@@ -94,7 +94,7 @@ bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
 bench-against: $(READY)  ## REV, another revision, built once: what the demo, csp and the bus cost beside it
 	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)
 
-fuzz: $(READY)  ## attacks on drives, hosts, files, locks, recorders, memory; FUZZ="ATTACK --seed N --seconds S"
+fuzz: $(READY)  ## attacks on drives, hosts, files, locks, recorders, programs, memory; FUZZ="ATTACK --seed N --seconds S"
 	$(BIN)/python -m tests.attack $(FUZZ)
 
 mutants: $(READY)  ## every adaptation broken on purpose against every clause; writes the kill table

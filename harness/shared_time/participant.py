@@ -68,8 +68,11 @@ class Seat(Protocol):
     def end_turn(self) -> None:
         """Take what programs have printed, before another one prints."""
 
+    def look_for_deaths(self) -> None:
+        """Note the programs that have died while they waited."""
+
     def departed(self, participant: "Participant", reason: str) -> None:
-        """Tell that the program has gone; `reason` is "" if it has left by itself."""
+        """Close the connection of a program that has gone; `reason` is "" if it left by itself."""
 
 
 @final
@@ -137,6 +140,7 @@ class Participant:
         self._serve()
         self._has_turn = self._is_served = False
         self._seat.turns += 1
+        self._seat.look_for_deaths()
         if self._is_urgent:
             self._deliver()
 
@@ -245,7 +249,7 @@ class Participant:
         if not self._unread:
             message = self._seat.receive(self, is_first)
             if not message:
-                self._depart("its connection has ended")
+                self.died()
                 return b""
             if message[0] != records.BATCH:
                 return message
@@ -265,8 +269,8 @@ class Participant:
     def _send(self, record: bytes) -> None:
         try:
             self.connection.send(record)
-        except OSError as error:
-            self._depart(f"its connection has ended ({error.strerror or error})")
+        except OSError:
+            self.died()
 
     def _open(self, record: bytes) -> None:
         _, fd = records.NUMBERED.unpack_from(record)
@@ -386,6 +390,10 @@ class Participant:
 
     # ---- its end -----------------------------------------------------------------------------
 
+    def died(self) -> None:
+        """End its part, since its connection has ended."""
+        self._depart("its connection has ended")
+
     def _depart(self, reason: str) -> None:
         """End its part: no call, no turn, no period; frames that are queued are still sent."""
         if self.is_gone:
@@ -396,5 +404,4 @@ class Participant:
             period.cancel()
         for _, port in self._ports.values():
             port.close()
-        self.connection.close()
         self._seat.departed(self, reason)

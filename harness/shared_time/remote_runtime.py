@@ -85,7 +85,8 @@ class RemoteLink:
             with suppress(UsageError):
                 self.send(bytes([records.LEAVE]))
             self.is_open = False
-        self._connection.close()
+        with suppress(OSError):  # the program itself may have closed it
+            self._connection.close()
 
 
 @final

@@ -157,6 +157,7 @@ class SharedClock:
         self._await_end: Final[Callable[[str], None]] = await_end
         self._programs: list[Participant] = []
         self._poll: Final[select.poll] = select.poll()  # of outputs
+        self._ends: Final[select.poll] = select.poll()  # of connections
         self._outputs: dict[int, Callable[[], bool]] = {}
         self._listener: Final[socket.socket] = _listener(path)
         self._of_children: Final[socket.socket] = _listener(Path(f"{path}{OF_CHILDREN}"))
@@ -197,7 +198,18 @@ class SharedClock:
         self.path.chmod(0o400)  # tells a second process of a program that it is too late
         self._programs = [joined[name] for name in names]
         for program in self._programs:
-            program.begin()
+            self._begin(program)
+
+    def _begin(self, program: Participant) -> None:
+        self._ends.register(program.connection, 0)
+        program.begin()
+
+    def look_for_deaths(self) -> None:
+        """Note the programs that have died while they waited."""
+        ended = [fd for fd, _ in self._ends.poll(0)]
+        for program in self._programs if ended else ():
+            if program.connection.fileno() in ended:
+                program.died()
 
     def _accept(self, listener: socket.socket, missing: Sequence[str]) -> Participant | None:
         door = listener.fileno()
@@ -256,7 +268,7 @@ class SharedClock:
             if found is not None:
                 self._children[name] = child
                 self._programs = [one for one in self._programs if not one.is_gone] + [found]
-                found.begin()
+                self._begin(found)
                 return ""
             if child.has_ended():
                 os.close(child.fd)
@@ -365,13 +377,15 @@ class SharedClock:
         return replace(notice, token=token, holder=holder, pid=0, program=name)
 
     def departed(self, participant: Participant, reason: str) -> None:
-        """Note that a program has gone."""
+        """Close the connection of a program that has gone; wait for the end of its process."""
+        self._ends.unregister(participant.connection)
+        participant.connection.close()
         self.left[participant.name] = reason
         child = self._children.get(participant.name)
         if child is not None:
             if child.has_ended(_GRACE_S):  # its parent sees its end, and all that it has written
                 os.close(self._children.pop(participant.name).fd)
-        elif reason:
+        else:  # its locks are free, also those that it keeps until its end
             self._await_end(participant.name)
         if reason:
             self._tell(participant.name, "warning", f"has left the rig: {reason}")

@@ -12,6 +12,7 @@ from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.shared_time.remote_rig import join
 from motorhil.harness.virtual_time.stdlib.children import take_parents_pipes
 from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
+from motorhil.harness.virtual_time.stdlib.signals import postpone_interrupt
 from motorhil.harness.virtual_time.stdlib.threads import join_executors
 from motorhil.motorapi.errors import UsageError
 
@@ -30,6 +31,7 @@ def enter() -> None:
     stack.enter_context(bus_settings(rig.description.buses))
     stack.enter_context(in_virtual_time(rig, rig.children))
     take_parents_pipes()
+    postpone_interrupt(rig.runtime)
     atexit.register(stack.close)
     sys.excepthook = _print_error
     register: Any = threading._register_atexit  # type: ignore[attr-defined]  # noqa: SLF001 -- before Python joins its threads, which would not wait in the rig's time

@@ -82,6 +82,8 @@ class VirtualParty:
         looked_ns, owed_ns, read_ns: time of its last clock reading, cost of its readings then,
             and the clock value returned [ns].
         held_up_by: the party that holds the lock it waits for.
+        is_waiting: True in `wait_until`.
+        calls: signal handlers that run at the end of its wait.
     """
 
     def __init__(self, name: str, runtime: "VirtualRuntime") -> None:
@@ -98,6 +100,8 @@ class VirtualParty:
         self.held_up_by: VirtualParty | None = None
         self.take_turn: Callable[[Waiter], None] | None = None
         self.looked_ns = self.owed_ns = self.read_ns = 0
+        self.is_waiting = False
+        self.calls: list[Callable[[], None]] = []
         self._runtime = runtime
 
     def join(self, timeout_s: float | None = None) -> bool:
@@ -212,19 +216,26 @@ class VirtualRuntime:
                 raise UsageError(f"timeout_s = {timeout_s}: virtual time ends at {END_NS / 1e9} s")
             if deadline_ns == self.queue.now_ns:
                 self._count_poll()
-        if self.on_yield is not None:
-            self.on_yield()
-        waiter = Waiter(party, done, deadline_ns, on_parties)
-        self._waiters.append(waiter)
-        try:
-            self._pump(waiter)
-        except BaseException:  # an event failed, or Ctrl-C: this wait is over
-            if waiter in self._waiters:
-                self._waiters.remove(waiter)
-            raise
-        if waiter.error is not None:
-            raise waiter.error
-        return waiter.result
+        while True:
+            if self.on_yield is not None:
+                self.on_yield()
+            waiter = Waiter(party, done, deadline_ns, on_parties)
+            self._waiters.append(waiter)
+            party.is_waiting = True
+            try:
+                self._pump(waiter)
+            except BaseException:  # an event failed, or Ctrl-C: this wait is over
+                if waiter in self._waiters:
+                    self._waiters.remove(waiter)
+                raise
+            finally:
+                party.is_waiting = False
+            if waiter.error is not None:
+                raise waiter.error
+            while party.calls:
+                party.calls.pop(0)()
+            if waiter.done is not _signalled:
+                return waiter.result
 
     def every(self, period_s: float, action: Callable[[], None]) -> "Registration":
         """Call `action` every `period_s` [s], first after one period; it must not wait."""
@@ -355,6 +366,21 @@ class VirtualRuntime:
             (self.whereabouts(one.party), None if one.deadline_ns == _NEVER else one.deadline_ns)
             for one in self._waiters
         ]
+
+    def call_in_turn(self, handler: Callable[[], None]) -> bool:
+        """Call a signal handler in the next turn of this thread's party, whose wait continues then.
+
+        Returns:
+            False if the party does not wait, or there is none: nothing was done.
+        """
+        party = self._parties.get(threading.get_ident())
+        if party is None or not party.is_waiting:
+            return False
+        party.calls.append(handler)
+        for waiter in self._waiters:
+            if waiter.party is party and waiter.error is None:
+                waiter.done = _signalled
+        return True
 
     def progress(self) -> tuple[int, int]:
         """Return the time [ns] and a count of turns: equal twice, nothing has happened between."""
@@ -570,6 +596,10 @@ def _name_of(action: Callable[[int], None]) -> str:
 
 
 def _at_once() -> bool:
+    return True
+
+
+def _signalled() -> bool:
     return True
 
 

@@ -24,6 +24,7 @@ ATTACKS: Final = {
     "locks": "lock_kills",
     "schedules": "lock_schedules",
     "recordings": "recorder_kills",
+    "pairs": "program_pairs",
     "hours": "growth",
     "rigs": "growth",
 }

@@ -12,6 +12,10 @@ from motorhil.emulators.cia401.node import build as build_io_node
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.controller import ControllerContext
 from motorhil.emulators.dynamixel.packets import crc16
+from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time.participant import Participant
+from motorhil.harness.shared_time.programs import _Process
+from motorhil.harness.shared_time.shared_clock import SharedClock
 from motorhil.harness.sharing_tests import processes
 from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import Motor
@@ -32,6 +36,7 @@ from tests.attack import recorder_kills as recorders
 from tests.attack.campaign import Attack, Campaign, Done
 
 SEED = 1
+PAIRS = 5
 READS_AGAIN = 383
 """The schedule that meets a takeover just before it reads its epoch again."""
 UNCOMPILED = pytest.mark.skipif(
@@ -425,6 +430,58 @@ def test_recorder_that_holds_back_or_loses_frames_is_found(tmp_path, monkeypatch
     monkeypatch.setattr(recorders, "_FRAME_NS", 5_000_000)
     with pytest.raises(AssertionError, match="wrong times"):
         recorders.require_recovered(path, 2_000_000_000, True)
+
+
+# ---------------------------------------------------------------------------------------- pairs
+
+
+@pytest.mark.wall
+def test_pairs_of_programs_make_the_record_of_parties():
+    done = campaign("pairs", count=PAIRS)
+    assert done.reached["forked"]
+    assert done.reached["died by SIGKILL"] + done.reached["died by SIGTERM"]
+    assert done.reached["step moved"]
+
+
+def with_names_reversed(await_programs):
+    return lambda clock, names, is_alive: await_programs(clock, names[::-1], is_alive)
+
+
+def without_a_reason(departed):
+    return lambda clock, participant, reason: departed(clock, participant, "")
+
+
+def with_late_deadlines(wait):
+    def late(participant, record):
+        *facts, deadline_ns = records.WAITING.unpack(record)
+        later_ns = deadline_ns + (deadline_ns >= 0)
+        wait(participant, records.WAITING.pack(*facts, later_ns))
+
+    return late
+
+
+def without_a_choice(wait):
+    return lambda participant, number, asks: wait(participant, number, False)
+
+
+@pytest.mark.wall
+@pytest.mark.parametrize(
+    ("attempt", "owner", "name", "plant", "told"),
+    [
+        (2, SharedClock, "await_programs", with_names_reversed, "the model has"),
+        (5, SharedClock, "departed", without_a_reason, "expected"),
+        (23, SharedClock, "look_for_deaths", instead(lambda clock: None), "the model has"),
+        (2, Participant, "_wait", with_late_deadlines, "the model has"),
+        (3, Participant, "_holds", without_a_choice, "the model has"),
+        (14, _Process, "await_end", instead(lambda process: None), "expected"),
+    ],
+    ids=["ties", "not told", "told late", "1 ns late", "no look", "lock kept"],
+)
+def test_fault_of_the_shared_clock_is_found(attempt, owner, name, plant, told, monkeypatch):
+    monkeypatch.setattr(owner, name, plant(getattr(owner, name)))
+    done = Campaign(program.attack_named("pairs"), SEED)
+    done.run(0.0, 1, attempt)
+    assert any(told in finding for finding in done.findings), done.findings
 
 
 # --------------------------------------------------------------------------------------- growth

@@ -34,6 +34,7 @@ from motorhil.harness.virtual_time.stdlib import (
     lines,
     multiprocess,
     refusals,
+    signals,
     threads,
 )
 from motorhil.harness.virtual_time.stdlib import clocks as dates
@@ -105,6 +106,7 @@ def _pairs() -> list[tuple[object, object]]:
         *descriptors.stand_ins(),
         *lines.stand_ins(),
         *refusals.stand_ins(),
+        *signals.stand_ins(),
         *multiprocess.stand_ins(),
     ]
 

@@ -12,7 +12,6 @@ runner's, a C library's) gets the wall clocks and plain locks. So do callers fro
 
 import sys
 import threading
-import weakref
 from _thread import LockType, get_ident
 from _thread import allocate_lock as _allocate_lock
 from _thread import start_new_thread as _start_new_thread
@@ -410,12 +409,17 @@ class RLock:
         return f"<RLock in virtual time, held {self._count} times, at {id(self):#x}>"
 
 
-_parties: "weakref.WeakKeyDictionary[Thread, VirtualParty]" = weakref.WeakKeyDictionary()
+_PARTY: Final = "_motorhil_party"  # on the thread: both go together
 _start = Thread.start
 _join = Thread.join
 _is_alive = Thread.is_alive
 _is_set = Event.is_set
 _enumerate = threading.enumerate
+
+
+def _party_of(thread: Thread) -> VirtualParty | None:
+    party: VirtualParty | None = vars(thread).get(_PARTY)
+    return party
 
 
 def start(thread: Thread) -> None:
@@ -425,7 +429,7 @@ def start(thread: Thread) -> None:
     already.
     """
     program = program_here()
-    if program is None or thread in _parties:
+    if program is None or _party_of(thread) is not None:
         _start(thread)  # raises for a second start
         return
     if isinstance(thread, PartyThread) or caller_is_outside(2):
@@ -447,7 +451,7 @@ def _start_party(program: Program, thread: Thread) -> None:
     except BaseException:
         del vars(thread)["run"]
         raise
-    _parties[thread] = party
+    vars(thread)[_PARTY] = party
     program.add(party)
 
 
@@ -457,7 +461,7 @@ def join_executors() -> None:
         executors._shutdown = True  # noqa: SLF001
     try:
         for thread, queue in list(executors._threads_queues.items()):  # noqa: SLF001
-            party = _parties.get(thread)
+            party = _party_of(thread)
             if party is not None and not party.finished:
                 queue.put(None)
                 thread.join()
@@ -500,7 +504,7 @@ def _run(thread: Thread, party: VirtualParty, run: Callable[[], None]) -> None:
 
 def join(thread: Thread, timeout: float | None = None) -> None:
     """Wait until the thread has ended, or for `timeout` [s] of the rig's time."""
-    program, party, me = program_here(), _parties.get(thread), party_here()
+    program, party, me = program_here(), _party_of(thread), party_here()
     if program is None or party is None or me is None or party is me:
         _join(thread, timeout)  # raises if a thread joins itself
         return
@@ -512,7 +516,7 @@ def join(thread: Thread, timeout: float | None = None) -> None:
 
 def is_alive(thread: Thread) -> bool:
     """Return whether the thread has begun and not ended."""
-    program, party, me = program_here(), _parties.get(thread), party_here()
+    program, party, me = program_here(), _party_of(thread), party_here()
     if program is None or party is None or me is None:
         return _is_alive(thread)
     program.look(me)
@@ -540,7 +544,7 @@ def active_count() -> int:
 
 
 def _has_finished(thread: Thread) -> bool:
-    party = _parties.get(thread)
+    party = _party_of(thread)
     return party is not None and party.finished
 
 

@@ -66,21 +66,28 @@ def run(tmp_path):
     return run
 
 
+@pytest.fixture
+def twice(run):
+    """Return a function that runs programs twice, to the same bytes; it returns the output."""
+
+    def twice(*facts, **commands):
+        lines, wrong, record = run(*facts, **commands)
+        assert wrong == {}, lines[-3:]
+        assert run(*facts, **commands) == (lines, wrong, record)
+        return lines
+
+    return twice
+
+
 @pytest.mark.timeout(60)  # of the wall
-def test_c_program_sleeps_an_hour_at_once(run, tmp_path):
-    program = compiled("sleeper", tmp_path)
-    lines, wrong, _ = run(a=[program])
-    assert wrong == {}
+def test_c_program_sleeps_an_hour_at_once(twice, tmp_path):
+    lines = twice(a=[compiled("sleeper", tmp_path)])
     assert lines == SLEPT
 
 
-def test_c_program_has_answer_of_drive_by_sdo_twice_the_same(run, tmp_path):
-    program = compiled("sdo_client", tmp_path)
-    runs = [run(DRIVE, a=[program]) for _ in range(2)]
-    lines, wrong, _ = runs[0]
-    assert wrong == {}
+def test_c_program_has_answer_of_drive_by_sdo_twice_the_same(twice, tmp_path):
+    lines = twice(DRIVE, a=[compiled("sdo_client", tmp_path)])
     assert lines == [f"a: 581: {ANSWER} within 5 ms", "a: -1, 2 s"]
-    assert runs[1] == runs[0]
 
 
 def test_c_program_hears_frames_of_its_sleep_after_300_sockets(run, tmp_path):
@@ -90,19 +97,50 @@ def test_c_program_hears_frames_of_its_sleep_after_300_sockets(run, tmp_path):
 
 
 @needs_can_utils
-def test_candump_shows_frames_of_cansend_and_drive_twice_the_same(run):
+def test_candump_shows_frames_of_cansend_and_drive_twice_the_same(twice):
     commands = {
         "dump": ["candump", "-ta", "-T", "1000", "can0,581:7FF,601:7FF"],
         "send": ["sh", "-c", f"exec cansend can0 {REQUEST}"],
         "ask": ["sh", "-c", f"exec cangen -g 500 -n 3 -I 601 -L 8 -D {REQUEST[4:]} can0"],
     }
-    runs = [run(DRIVE, **commands) for _ in range(2)]
-    lines, wrong, _ = runs[0]
-    assert wrong == {}
+    lines = twice(DRIVE, **commands)
     frames = [line.split("can0")[1].split() for line in lines]
     request, answer = ["601", "[8]", *QUESTION.split()], ["581", "[8]", *ANSWER.split()]
     assert frames == [request, request, request, answer, request, answer]  # it boots for 0.3 s
-    assert runs[1] == runs[0]
+
+
+LOG = """\
+(1700000000.500000) can1 601#4000100000000000
+(1700000000.750000) can1 123#
+(1700000001.000000) can1 601#4000100000000000
+"""
+
+
+@needs_can_utils
+def test_canplayer_repeats_gaps_of_its_log_twice_the_same(twice, tmp_path):
+    """It looks each millisecond at what is due; the drive boots for 0.3 s."""
+    (tmp_path / "log.txt").write_text(LOG)
+    lines = twice(
+        DRIVE,
+        dump=["candump", "-ta", "-T", "1000", "can0,581:7FF,601:7FF,123:7FF"],
+        play=["canplayer", "-I", "log.txt", "can0=can1"],
+    )
+    found = [(float(line.split()[1][1:-1]), line.split()[3]) for line in lines]
+    assert [(int(1000 * time_s), name) for time_s, name in found] == [
+        *((1, "601"), (250, "123"), (500, "601"), (501, "581")),
+    ]
+
+
+@needs_can_utils
+def test_random_frames_of_cangen_are_twice_the_same(twice):
+    """Its chance comes from the clock."""
+    lines = twice(
+        dump=["candump", "-T", "1000", "can0"],
+        one=["cangen", "can0", "-g", "2", "-n", "20"],
+        two=["cangen", "can0", "-g", "3", "-n", "20", "-e"],
+    )
+    assert len(lines) == 40
+    assert len({line.split("can0")[1] for line in lines}) > 30
 
 
 WAITS = "cmwsknaplxf123"  # each ends at its own deadline: see waiters.c
@@ -155,9 +193,8 @@ def test_10000_random_waits_end_in_order_of_model(run, tmp_path):
     require_model(run, tmp_path, 10_000)
 
 
-def test_threads_that_wait_for_one_thing_have_it_in_order_of_waits(run, tmp_path):
-    lines, wrong, _ = run(a=[compiled("queues", tmp_path)])
-    assert wrong == {}
+def test_threads_that_wait_for_one_thing_have_it_in_order_of_waits(twice, tmp_path):
+    lines = twice(a=[compiled("queues", tmp_path)])
     assert lines == [
         "a: cond: 2, 1, 0,",
         "a: semaphore: 2, 1, 0,",
@@ -170,16 +207,14 @@ def test_threads_that_wait_for_one_thing_have_it_in_order_of_waits(run, tmp_path
     ]
 
 
-def test_waits_of_cpp_library_end_in_virtual_time(run, tmp_path):
-    lines, wrong, _ = run(a=[compiled("cpp_waits", tmp_path)])
-    assert wrong == {}
+def test_waits_of_cpp_library_end_in_virtual_time(twice, tmp_path):
+    lines = twice(a=[compiled("cpp_waits", tmp_path)])
     waits = ["sleep_for", "wait_for", "wait_until", "future", "promise", "timed_mutex", "async"]
     assert lines == [f"a: {wait} {100 * number}" for number, wait in enumerate(waits, 1)]
 
 
-def test_threads_of_c11_end_in_virtual_time(run, tmp_path):
-    lines, wrong, _ = run(a=[compiled("c11_waits", tmp_path)])
-    assert wrong == {}
+def test_threads_of_c11_end_in_virtual_time(twice, tmp_path):
+    lines = twice(a=[compiled("c11_waits", tmp_path)])
     assert lines == ["a: woken at 3 s", "a: ended at 3 s"]
 
 
@@ -189,15 +224,12 @@ def test_question_for_can_interface_by_netlink_is_answered(run, tmp_path):
     assert lines == ["a: type CAN", "a: name can0", "a: MTU 16", "a: kind can", "a: error 0"]
 
 
-def test_event_loop_with_timer_and_can_sockets_twice_the_same(run, tmp_path):
-    runs = [run(a=[compiled("can_loop", tmp_path)]) for _ in range(2)]
-    lines, wrong, _ = runs[0]
-    assert wrong == {}
+def test_event_loop_with_timer_and_can_sockets_twice_the_same(twice, tmp_path):
+    lines = twice(a=[compiled("can_loop", tmp_path)])
     frames = [
         [f"a: all can0 80 {ms}", f"a: own can0 80 {ms} own local"] for ms in (5, 15, 25)
     ]  # a message has left the bus less than 1 ms after the timer
     assert lines == [*frames[0], *frames[1], "a: next in 10 ms", *frames[2]]
-    assert runs[1] == runs[0]
 
 
 @needs_can_utils

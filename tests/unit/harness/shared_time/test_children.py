@@ -133,10 +133,10 @@ tell(python(grandparent).wait())
     assert wrong == {}
     assert [line for line in lines if line.startswith("program ")] == [
         f"program parent/{name}: {what}"
-        for name in ("1", "2/1")
+        for name, waiting in (("1", ("parent",)), ("2/1", ("parent", "parent/2")))
         for what in (
             "has kept the turn for 0.6 s of wall time, and no virtual time passes; expected a wait;"
-            " it is killed",
+            " it is killed; waiting: " + ", ".join(f"{one} without a timeout" for one in waiting),
             "has left the rig: its connection has ended",
         )
     ]

@@ -167,6 +167,31 @@ def test_motor_of_killed_program_passes_to_the_next(run):
     assert lines[-1] == "two: 2 -0.900"
 
 
+KEEPER = """
+import sys, motorhil
+from motorhil.motorapi.locking.process_lock import ProcessLock
+rig = motorhil.join()
+lock = ProcessLock("it", "it", runtime=rig.runtime)
+rig.runtime.run_for(float(sys.argv[1]))
+hold = lock.acquire(rig.runtime, "a test", 100.0)
+print("has it at", rig.runtime.now_ns())
+rig.runtime.run_for(1.0)
+rig.close()
+for _ in range(10_000_000): pass
+"""
+
+
+def test_lock_of_program_that_has_left_is_free_at_that_time(run, tmp_path):
+    """A drive's SDO channel is kept after a timeout, beyond the end of the program, too."""
+    (tmp_path / "keeper.py").write_text(KEEPER)
+    lines, wrong = run(
+        program("one", "python", "keeper.py", "0.0"),
+        program("two", "python", "keeper.py", "0.5"),
+    )
+    assert wrong == {}
+    assert lines == ["one: has it at 0", "two: has it at 1000000000"]
+
+
 def test_program_that_may_leave_is_no_failure(run):
     source = "import os, time; time.sleep(0.01); os.kill(os.getpid(), 9)"
     _, wrong = run(

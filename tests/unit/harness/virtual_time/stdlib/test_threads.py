@@ -1,7 +1,9 @@
 import _thread
+import gc
 import queue
 import threading
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -11,6 +13,18 @@ from motorhil.harness.virtual_time.stdlib.threads import join_executors, program
 from motorhil.motorapi.errors import UsageError
 
 THE_WALLS = (_thread.start_new_thread, _thread.allocate_lock)  # bound here, so not replaced
+
+
+def test_thread_that_has_ended_leaves_no_object(now_s):
+    def start():
+        thread = threading.Thread(target=time.sleep, args=(0.1,))
+        thread.start()
+        thread.join()
+        return weakref.ref(thread)
+
+    first, _ = start(), start()  # a start forgets threads that have ended
+    gc.collect()
+    assert first() is None
 
 
 def test_sleep_lets_rig_time_pass_and_others_run(now_s):
