@@ -598,6 +598,12 @@ class Rig:
         """
         return self._lines[name]
 
+    def open_line(self, name: str) -> "EmulatedLine":
+        """Return a new port on a line, which the caller closes."""
+        from motorhil.harness.python_can.line import EmulatedLine
+
+        return EmulatedLine(self.world, name, self.runtime)
+
     def build_motors(self) -> None:
         """Create every motor and group now, to find errors in their settings.
 
@@ -755,9 +761,7 @@ class Rig:
         return bus
 
     def _line(self, name: str) -> "EmulatedLine":
-        from motorhil.harness.python_can.line import EmulatedLine
-
-        line = EmulatedLine(self.world, name, self.runtime)
+        line = self.open_line(name)
         self._in_use.callback(line.close)
         return line
 

@@ -18,7 +18,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.harness.rig.config.buses import MODBUS_TCP
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import serial_line
 from motorhil.harness.shared_time.binaries import BinaryError, preload
 from motorhil.harness.shared_time.shared_clock import (
     RIG_VARIABLE,
@@ -31,9 +33,11 @@ from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import VARIABLE as LOCK_VARIABLE
 
 if TYPE_CHECKING:
+    from motorhil.harness.rig.config.buses import BusDescription
     from motorhil.harness.rig.config.programs import ProgramDescription
     from motorhil.harness.rig.rig import Rig
 
+_LINES_VARIABLE: Final = "MOTORHIL_LINES"  # of programs that are not Python: see _lines_text
 _GRACE_S: Final = 5.0
 _CHUNK: Final = 65_536
 _CHUNKS: Final = 4  # of output at once
@@ -242,6 +246,23 @@ def _preloads(rig: "Rig") -> dict[str, str]:
     return found
 
 
+def _lines_text(buses: "Iterable[BusDescription]") -> str:
+    """Return the lines among the buses for the preloaded library, one in a row of text.
+
+    The fields are name, address, bit rate, bits of a character, their format, and t3.5 [ns].
+    """
+    rows: list[str] = []
+    for bus in buses:
+        if bus.kind == MODBUS_TCP:
+            rows.append(f"{bus.name}\t{bus.address}\t0\t0\t-\t0")
+        elif bus.is_line:
+            bits = 9 + (bus.parity != "N") + bus.stop_bits
+            form, silence_ns = f"8{bus.parity}{bus.stop_bits}", serial_line(bus).t35_ns
+            fields = (bus.name, bus.address, bus.bitrate_bit_s, bits, form, silence_ns)
+            rows.append("\t".join(map(str, fields)))
+    return "\n".join(rows)
+
+
 def _start(
     rig: "Rig",
     program: "ProgramDescription",
@@ -263,6 +284,7 @@ def _start(
         environment[VARIABLE] = f"{clock.path}#{program.name}"
         if preloaded:
             environment["LD_PRELOAD"] = preloaded
+            environment[_LINES_VARIABLE] = _lines_text(rig.description.buses.values())
     word = program.command[0]
     try:
         return _Process(program, environment, source.parent, tell)

@@ -114,15 +114,14 @@ class RemoteRig:
         self._cleanup.callback(link.close)
         self._cleanup.callback(self.runtime.close)
         lines = {name: bus for name, bus in self.description.buses.items() if bus.is_line}
-        world = RemoteWorld(buses, lines, link, self.runtime)
+        world = self._world = RemoteWorld(buses, lines, link, self.runtime)
         open_rig(world, self.runtime, shared_at)
         self._cleanup.callback(close_rig, world)
         self._plugins: Final[RigPlugins] = RigPlugins(self.description)
         self._models: Final = read_models(self.description)
         self._buses: Final = Named("bus", buses, self._bus)
-        self._lines: Final = Named(
-            "line", lines, lambda line: EmulatedLine(world, line, self.runtime, shared_at)
-        )
+        self._shared_at: Final = shared_at
+        self._lines: Final = Named("line", lines, self.open_line)
         self.motors: Mapping[str, Motor] = Named("motor", self.description.motors, self._motor)
         self.groups: Mapping[str, MotorGroup] = Named("group", self.description.groups, self._group)
         self.runtime.begin()
@@ -142,6 +141,10 @@ class RemoteRig:
             KeyError: the rig has no such line.
         """
         return self._lines[name]
+
+    def open_line(self, name: str) -> EmulatedLine:
+        """Return a new port on a line, which the caller closes."""
+        return EmulatedLine(self._world, name, self.runtime, self._shared_at)
 
     def close(self) -> None:
         """Close motors and buses, and leave the rig."""

@@ -174,6 +174,7 @@ class VirtualRuntime:
         self._polls = self._turns = 0
         self._instant_ns = self._turns_before = 0  # as seen at the last check for signals
         self.on_poll: Callable[[], None] | None = None  # called before polls
+        self.on_yield: Callable[[], None] | None = None  # called before a party gives up its turn
         self.whereabouts: Callable[[VirtualParty], str] = attrgetter("name")
 
     # --- Runtime ---------------------------------------------------------------------------
@@ -216,6 +217,8 @@ class VirtualRuntime:
             if deadline_ns == self.queue.now_ns:
                 self._count_poll()
         while True:
+            if self.on_yield is not None:
+                self.on_yield()
             waiter = Waiter(party, done, deadline_ns, on_parties)
             self._waiters.append(waiter)
             party.is_waiting = True
@@ -576,6 +579,8 @@ class VirtualRuntime:
     def _leave(self, party: VirtualParty) -> None:
         """Pass the baton on to the next party; run events until there is one."""
         try:
+            if self.on_yield is not None:
+                self.on_yield()
             if self._waiters:
                 self._pump(None)
         except BaseException as error:  # an event failed: raise it in the longest-waiting party

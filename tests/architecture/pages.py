@@ -11,6 +11,7 @@ block modify it:
     <!-- in the rig: RIG -->       run the Python as `motorhil run RIG -`
     <!-- exit status: N -->        expect this exit status (default 0)
     <!-- not run: WHY -->          the block cannot run here
+    <!-- needs: PROGRAM -->        the block runs where this program is installed
     <!-- wall clock: yes -->       retry the block: a busy machine may delay it
     <!-- by machine: REGEX -->     matching text may differ in the output that follows
 
@@ -90,6 +91,11 @@ class Block:
     @property
     def text(self) -> str:
         return "".join(f"{line}\n" for line in self.lines)
+
+    def is_left_out(self) -> bool:
+        """Return whether the block does not run on this machine."""
+        needed = self.special.get("needs")
+        return "not run" in self.special or (needed is not None and shutil.which(needed) is None)
 
     def __str__(self) -> str:
         return f"{self.page}:{self.first}"
@@ -197,7 +203,7 @@ def run(block, folder):
         path.parent.mkdir(exist_ok=True)
         path.write_text(block.text)
         return 0, ""
-    if "not run" in block.special:
+    if block.is_left_out():
         return 0, ""
     if block.language == "pycon":
         return in_session([block], folder)[0]
@@ -313,7 +319,7 @@ def rewrite(page: Path) -> None:
         for (block, told), (status, printed) in zip(steps, results, strict=True):
             if status != int(block.special.get("exit status", 0)):
                 sys.exit(f"{block}: exit status {status}\n{printed}")
-            if told is not None and "not run" not in block.special and not is_told(told, printed):
+            if told is not None and not block.is_left_out() and not is_told(told, printed):
                 changes.append((told, retold(told, printed)))
         if page == README:
             drawn = rover_picture.draw(Path(name) / "work" / "out" / "demo.mcap")

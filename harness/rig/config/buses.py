@@ -26,6 +26,7 @@ from motorhil.settings import (
     flag,
     number,
     setting,
+    text,
     whole,
     word,
 )
@@ -48,6 +49,9 @@ UNIT_MAX: Final = 247
 ID_MAX: Final = 252
 """The highest unit on a serial line that is not a Modbus line."""
 
+PORT_MAX: Final = 65_535
+"""The highest port of a gateway's address."""
+_MODBUS_PORT: Final = 502
 _SECOND_NS: Final = 1_000_000_000
 
 
@@ -192,11 +196,18 @@ class BusTable:
         "How long the gateway waits for a unit before it answers itself with exception 0Bh.",
         plausible=(0.01, 60.0),
     )
+    address: str | None = text(
+        None,
+        "Where unmodified programs in virtual time find the line: HOST:PORT of a gateway (absent:"
+        " NAME:502), else the path of a serial port (absent: /dev/NAME).",
+        example='"192.168.1.20:502"',
+    )
 
     RULES: ClassVar = (
         _of(("bitrate_bit_s", "data_bitrate_bit_s", "message", "node"), CAN),
         _of(("baud_bit_s", "parity", "stop_bits"), MODBUS_RTU, SERIAL),
         _of(("latency_s", "timeout_s"), MODBUS_TCP),
+        _of(("address",), *LINES),
         Rule(
             "kind",
             (CAN,),
@@ -210,7 +221,8 @@ class BusTable:
     }
 
     def __post_init__(self) -> None:
-        """Refuse bit rates without whole nanoseconds, or in the wrong order (SettingError)."""
+        """Refuse addresses of no line, and bit rates without whole ns or out of order."""
+        _check_address(self.kind, self.address)
         rate, data_rate = self.bitrate_bit_s or 1, self.data_bitrate_bit_s
         if _SECOND_NS % rate:
             raise SettingError(
@@ -229,6 +241,20 @@ class BusTable:
                 f"a bit of {data_rate} bit/s is not a whole number of nanoseconds",
                 "usual: 8_000_000, 5_000_000, 4_000_000, 2_000_000, 1_000_000",
             )
+
+
+def _check_address(kind: str, address: str | None) -> None:
+    """Refuse an address that is not one of a line of this kind (SettingError)."""
+    if address is None or kind not in LINES:
+        return
+    if kind == MODBUS_TCP:
+        host, _, port = address.rpartition(":")
+        if not host or not (port.isascii() and port.isdigit()) or not 1 <= int(port) <= PORT_MAX:
+            message = f'"{address}" is not the address of a gateway'
+            raise SettingError(("address",), message, 'write "HOST:PORT"')
+    elif not address.startswith("/"):
+        message = f'"{address}" is not the path of a serial port'
+        raise SettingError(("address",), message, f'write "/dev/{address}"')
 
 
 @final
@@ -251,6 +277,7 @@ class BusDescription:
         latency_ns: delay of a gateway from sending to arrival [ns].
         timeout_ns: how long a gateway waits for a unit before it answers itself with exception
             code 0Bh [ns].
+        address: of a line, where programs in virtual time find it: HOST:PORT, or a path.
     """
 
     name: str
@@ -264,6 +291,7 @@ class BusDescription:
     latency_ns: int = 0
     timeout_ns: int = _SECOND_NS
     data_bitrate_bit_s: int | None = None
+    address: str = ""
 
     @property
     def is_line(self) -> bool:
@@ -293,11 +321,19 @@ def read_bus(name: str, table: Table) -> BusDescription:
     if own.kind in (MODBUS_RTU, SERIAL):
         parity = own.parity or ("E" if own.kind == MODBUS_RTU else "N")
         return BusDescription(
-            name, own.kind, own.baud_bit_s, parity=parity, stop_bits=own.stop_bits
+            *(name, own.kind, own.baud_bit_s),
+            parity=parity,
+            stop_bits=own.stop_bits,
+            address=own.address or f"/dev/{name}",
         )
     if own.kind == MODBUS_TCP:
         latency_ns, timeout_ns = round(own.latency_s * 1e9), round(own.timeout_s * 1e9)
-        return BusDescription(name, own.kind, 0, latency_ns=latency_ns, timeout_ns=timeout_ns)
+        return BusDescription(
+            *(name, own.kind, 0),
+            latency_ns=latency_ns,
+            timeout_ns=timeout_ns,
+            address=own.address or f"{name}:{_MODBUS_PORT}",
+        )
     rate, data_rate = own.bitrate_bit_s, own.data_bitrate_bit_s
     assert rate is not None
     messages = None
@@ -341,6 +377,17 @@ def refuse_strangers(
             raise source.error((*path, "silent"), f'"{name}" is a controller', "take it out")
         if name not in known and name not in silent:
             raise source.no_such(path, name, known, "controller")
+
+
+def refuse_shared_addresses(source: Source, buses: Mapping[str, BusDescription]) -> None:
+    """Raise RigError for the first line that has the address of another one."""
+    owners: dict[str, str] = {}
+    for name, bus in buses.items():
+        other = owners.setdefault(bus.address, name) if bus.is_line else name
+        if other != name:
+            raise source.error(
+                ("bus", name, "address"), f'"{bus.address}" is that of "{other}"', "write another"
+            )
 
 
 def address_key(bus: BusDescription) -> str:

@@ -32,6 +32,7 @@ from motorhil.harness.rig.config.buses import (
     address_max,
     read_address,
     read_bus,
+    refuse_shared_addresses,
     refuse_strangers,
 )
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts, read_facts
@@ -290,6 +291,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     controllers = {
         name: _controller(name, table, buses, known) for name, table in _named(root, "controller")
     }
+    refuse_shared_addresses(source, buses)
     _refuse_shared_nodes(source, controllers, buses)
     for bus, names in _on_each(buses, controllers).items():
         refuse_strangers(source, bus, buses[bus].nodes, buses[bus].silent, (HOST, *names))

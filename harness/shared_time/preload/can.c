@@ -375,6 +375,7 @@ EXPORT ssize_t sendmsg(int fd, const struct msghdr *message, int flags)
 {
     uint8_t frame[CANFD_MTU];
     size_t size = 0;
+    if (is_line(fd)) return send_parts(fd, message->msg_iov, message->msg_iovlen, flags);
     if (!is_can(fd)) {
         ssize_t whole = 0;
         if (!answer_netlink(fd, message)) return REAL(sendmsg)(fd, message, flags);
@@ -439,6 +440,8 @@ EXPORT int bind(int fd, const struct sockaddr *address, socklen_t size)
 
 EXPORT int connect(int fd, const struct sockaddr *address, socklen_t size)
 {
+    int result;
+    if (connect_line(fd, address, size, &result)) return result;
     return is_can(fd) ? failed(EOPNOTSUPP) : REAL(connect)(fd, address, size);
 }
 
@@ -516,6 +519,7 @@ static int set_option(struct can_socket *socket, int level, int option, const vo
 EXPORT int setsockopt(int fd, int level, int option, const void *value, socklen_t size)
 {
     struct can_socket *socket = can_of(fd);
+    if (is_option_of_line(fd, level)) return 0;
     return socket ? set_option(socket, level, option, value, size)
                   : REAL(setsockopt)(fd, level, option, value, size);
 }
@@ -524,6 +528,10 @@ EXPORT int getsockopt(int fd, int level, int option, void *restrict value, sockl
 {
     struct can_socket *socket = can_of(fd);
     int number;
+    if (is_option_of_line(fd, level)) {
+        memset(value, 0, *size);
+        return 0;
+    }
     if (!socket) return REAL(getsockopt)(fd, level, option, value, size);
     if (level == SOL_CAN_RAW && option == CAN_RAW_FILTER) {
         socklen_t full = socket->filter_count * sizeof *socket->filters;

@@ -10,6 +10,7 @@
  *   descriptors.c  waits for file descriptors, and timers that are descriptors
  *   can.c          CAN sockets
  *   netlink.c     questions for CAN interfaces
+ *   lines.c        gateways and serial ports
  *   refusals.c     what is not supported, told by name
  *
  * Rules of turn, as in motorhil/harness/virtual_time/runtime.py:
@@ -138,7 +139,7 @@ struct timespec timespec_of(int64_t time_ns);
 void note_main_thread(void);
 
 /* descriptors.c */
-enum kind { OWN, CAN, TIMER };
+enum kind { OWN, CAN, TIMER, LINE };
 struct descriptor {
     enum kind kind;
     int references; /* descriptors of the program */
@@ -150,6 +151,7 @@ int set_apart(int fd);
 bool is_blocking(int fd, int flags);
 enum result wait_for_input(int fd, int64_t deadline_ns);
 bool await_input(int fd, int flags);
+void look_at(int fd);
 ssize_t charged(ssize_t result);
 void expire_timer(uint32_t number);
 
@@ -168,5 +170,22 @@ int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
 struct msghdr;
 bool answer_netlink(int fd, const struct msghdr *message);
 ssize_t take_netlink(int fd, void *data, size_t size, int flags, void *address, void *address_size);
+
+/* lines.c */
+struct line_end;
+struct sockaddr;
+struct iovec;
+struct epoll_event;
+bool is_line(int fd);
+bool note_member(int epoll, int operation, int fd, const struct epoll_event *event);
+void forget_members(int fd);
+bool connect_line(int fd, const struct sockaddr *address, unsigned size, int *result);
+void close_line(struct line_end *end);
+bool is_option_of_line(int fd, int level);
+bool hear_line(unsigned port, int64_t time_ns, bool is_transmitted, const void *data, size_t size);
+ssize_t send_line(int fd, const void *data, size_t size, int flags);
+ssize_t send_parts(int fd, const struct iovec *parts, int count, int flags);
+bool await_characters(int fd, ssize_t *result);
+int line_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
 
 #endif

@@ -454,6 +454,9 @@ static bool serve(uint8_t *record, size_t size, struct wait **wait)
     case RECORD_HEARD:
     case RECORD_TOLD:
         rig.now_ns = delivery->time_ns;
+        if (hear_line(delivery->port, delivery->time_ns, delivery->is_transmitted, delivery->frame,
+                      size - sizeof *delivery))
+            return false;
         hear(delivery->port, delivery->time_ns, delivery->is_transmitted, record[0] == RECORD_TOLD,
              delivery->frame, size - sizeof *delivery);
         return false;

@@ -93,6 +93,7 @@ static void release(int fd)
 {
     struct descriptor *descriptor = descriptor_of(fd);
     if (fd >= 0 && fd < DESCRIPTORS_MAX) is_told[fd] = false;
+    forget_members(fd);
     if (!descriptor || getpid() != rig.pid) return; /* a child by vfork shares the table */
     descriptors[fd] = NULL;
     if (--descriptor->references) return;
@@ -101,6 +102,7 @@ static void release(int fd)
         REAL(close)(descriptor->inner);
     }
     if (descriptor->kind == CAN) close_can((struct can_socket *)descriptor);
+    if (descriptor->kind == LINE) close_line((struct line_end *)descriptor);
     if (descriptor->kind == TIMER) {
         struct timer **place = &timers;
         while (*place != (struct timer *)descriptor) place = &(*place)->next;
@@ -218,7 +220,7 @@ static const char *outsider(int fd)
 }
 
 /* Tell once of a descriptor whose other end has the time of the wall. */
-static void look_at(int fd)
+void look_at(int fd)
 {
     if (fd < 0 || fd >= DESCRIPTORS_MAX || is_told[fd] || descriptors[fd]) return;
     is_told[fd] = true;
@@ -405,8 +407,10 @@ EXPORT int epoll_wait(int epoll, struct epoll_event *events, int count, int time
 
 EXPORT int epoll_ctl(int epoll, int operation, int fd, struct epoll_event *event)
 {
-    if (operation == EPOLL_CTL_ADD && in_rig()) look_at(fd);
-    return REAL(epoll_ctl)(epoll, operation, fd, event);
+    int result = REAL(epoll_ctl)(epoll, operation, fd, event);
+    if (result || !in_rig()) return result;
+    if (!note_member(epoll, operation, fd, event) && operation == EPOLL_CTL_ADD) look_at(fd);
+    return 0;
 }
 
 /* ---- reads and writes ------------------------------------------------------------------------ */
@@ -440,7 +444,9 @@ ssize_t charged(ssize_t result)
 
 EXPORT ssize_t read(int fd, void *data, size_t size)
 {
+    ssize_t result;
     if (is_can(fd)) return can_receive(fd, data, size, 0, NULL, NULL);
+    if (await_characters(fd, &result)) return result;
     return await_input(fd, 0) ? charged(REAL(read)(fd, data, size)) : -1;
 }
 
@@ -501,6 +507,7 @@ EXPORT int accept(int fd, struct sockaddr *restrict address, socklen_t *restrict
 
 EXPORT ssize_t write(int fd, const void *data, size_t size)
 {
+    if (is_line(fd)) return send_line(fd, data, size, 0);
     return is_can(fd) ? can_send(fd, data, size, NULL, 0) : REAL(write)(fd, data, size);
 }
 
@@ -508,11 +515,12 @@ EXPORT ssize_t writev(int fd, const struct iovec *parts, int count)
 {
     if (is_can(fd))
         refuse("program '%s': writev() to a CAN socket: not supported; expected write()", rig.name);
-    return REAL(writev)(fd, parts, count);
+    return is_line(fd) ? send_parts(fd, parts, count, 0) : REAL(writev)(fd, parts, count);
 }
 
 EXPORT ssize_t send(int fd, const void *data, size_t size, int flags)
 {
+    if (is_line(fd)) return send_line(fd, data, size, flags);
     return is_can(fd) ? can_send(fd, data, size, NULL, 0) : REAL(send)(fd, data, size, flags);
 }
 
@@ -520,6 +528,7 @@ EXPORT ssize_t sendto(int fd, const void *data, size_t size, int flags,
                       const struct sockaddr *address, socklen_t address_size)
 {
     if (is_can(fd)) return can_send(fd, data, size, address, address_size);
+    if (is_line(fd)) return send_line(fd, data, size, flags);
     return REAL(sendto)(fd, data, size, flags, address, address_size);
 }
 
@@ -531,6 +540,7 @@ EXPORT int ioctl(int fd, unsigned long request, ...)
     void *argument = va_arg(values, void *);
     va_end(values);
     int result = can_ioctl(fd, request, argument, &is_known);
+    if (!is_known) result = line_ioctl(fd, request, argument, &is_known);
     return is_known ? result : REAL(ioctl)(fd, request, argument);
 }
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, date, datetime, tzinfo
 from time import struct_time
-from typing import Any, Final
+from typing import Any, Final, final
 
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.harness.virtual_time.stdlib.threads import (
@@ -105,19 +105,26 @@ def _watched_sleep(seconds: float, /) -> None:
     _sleep(seconds)
 
 
-def _clock(original: Callable[[], Any], base_ns: int, unit: float | None) -> Callable[[], Any]:
-    """Return a clock of base + the rig's time, in ns (None) or in units of `unit` ns."""
+@final
+class _Clock:
+    """A clock of base + the rig's time, in ns (None) or in units of `unit` ns.
 
-    def clock() -> Any:
+    As the original, and unlike a function, it does not become a method where a class has bound it.
+    """
+
+    def __init__(self, original: Callable[[], Any], base_ns: int, unit: float | None) -> None:
+        self._original = original
+        self._base_ns = base_ns
+        self._unit = unit
+        self.__name__ = self.__qualname__ = original.__name__
+        self.__doc__ = f"As time.{original.__name__}, by the rig's clock."
+
+    def __call__(self) -> Any:
         program = _program()
         if program is None:
-            return original()
-        now_ns = base_ns + _reading_ns(program)
-        return now_ns if unit is None else now_ns / unit
-
-    clock.__name__ = clock.__qualname__ = original.__name__
-    clock.__doc__ = f"As time.{original.__name__}, by the rig's clock."
-    return clock
+            return self._original()
+        now_ns = self._base_ns + _reading_ns(program)
+        return now_ns if self._unit is None else now_ns / self._unit
 
 
 def _clock_gettime(
@@ -176,8 +183,8 @@ def stand_ins() -> list[tuple[object, object]]:
         ("thread_time", 0),
     ):
         original, original_ns = getattr(time, name), getattr(time, f"{name}_ns")
-        pairs.append((original, _clock(original, base_ns, 1e9)))
-        pairs.append((original_ns, _clock(original_ns, base_ns, None)))
+        pairs.append((original, _Clock(original, base_ns, 1e9)))
+        pairs.append((original_ns, _Clock(original_ns, base_ns, None)))
     pairs.append((time.clock_gettime, _clock_gettime(time.clock_gettime, 1e9)))
     pairs.append((time.clock_gettime_ns, _clock_gettime(time.clock_gettime_ns, None)))
     pairs += [(name, _calendar(name)) for name in (time.localtime, time.gmtime, time.ctime)]

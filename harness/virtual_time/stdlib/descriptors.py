@@ -3,7 +3,8 @@
 A party may wait for a descriptor whose other end is in its own program: a pipe, a pair of sockets,
 an eventfd. Only a party can change it, so the wait looks at it whenever something has happened.
 This is all that an event loop of asyncio waits for, beside its timers. A pipe to a child that has
-joined the rig changes in the turns of that child. A network connection, a device or a pipe to any
+joined the rig changes in the turns of that child. A line of the rig is a pair of sockets, too
+(`lines`). Any other network connection, a device or a pipe to any
 other process changes at times of the wall clock; waiting for it is refused.
 """
 
@@ -17,6 +18,7 @@ from contextlib import suppress
 from functools import wraps
 from typing import Any, Final
 
+from motorhil.harness.virtual_time.stdlib.lines import are_among
 from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
 from motorhil.harness.virtual_time.stdlib.threads import party_here, program_here
 
@@ -132,15 +134,17 @@ def _wait(
     if timeout_s is not None and timeout_s <= 0:
         program.look(party)  # lets time pass for a program that polls
         return False
-    what = _foreign_among(descriptors)
+    every = list(descriptors)
+    what = _foreign_among(every)
     relatives = program.children is not None and program.children.has_relatives()
     if what and not (relatives and what in _OF_RELATIVES):
         refuse(name, f"it waits for {what}, which has the wall clock", remedy)
     left_s = None if timeout_s is None else program.from_now_s(party, timeout_s)
+    wait = program.runtime.wait_until if are_among(every) else program.runtime.wait_for_parties
     if program.children is None or not relatives:
-        return program.runtime.wait_for_parties(look, left_s)
+        return wait(look, left_s)
     with program.children.watching():
-        return program.runtime.wait_for_parties(look, left_s)
+        return wait(look, left_s)
 
 
 def _foreign_among(descriptors: Iterable[int]) -> str:

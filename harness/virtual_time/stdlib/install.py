@@ -31,6 +31,7 @@ from motorhil.harness.virtual_time.stdlib import children as processes
 from motorhil.harness.virtual_time.stdlib import (
     clocks,
     descriptors,
+    lines,
     multiprocess,
     refusals,
     signals,
@@ -71,7 +72,7 @@ def _replaced() -> Iterator[None]:
     pairs = _pairs()
     there: _Names = {id(original): (original, own) for original, own in pairs}
     back: _Names = {id(own): (own, original) for original, own in pairs}
-    methods = _methods()
+    methods = [*_methods(), *_bound_in_classes(there)]
     defaults = scheduler.__init__.__defaults__  # bound when sched was imported
     before = [(kind, name, vars(kind).get(name)) for kind, name, _ in methods]
     try:
@@ -103,6 +104,7 @@ def _pairs() -> list[tuple[object, object]]:
         *clocks.stand_ins(),
         *dates.date_stand_ins(),
         *descriptors.stand_ins(),
+        *lines.stand_ins(),
         *refusals.stand_ins(),
         *signals.stand_ins(),
         *multiprocess.stand_ins(),
@@ -116,9 +118,17 @@ def _methods() -> _Methods:
         (Thread, "is_alive", threads.is_alive),
         (Event, "is_set", threads.is_set),
         *descriptors.methods(),
+        *lines.methods(),
         *processes.methods(),
         *multiprocess.methods(),
     ]
+
+
+def _bound_in_classes(names: _Names) -> _Methods:
+    """Return (class, name, stand-in) for a clock that a class of pyserial has bound at import."""
+    timeout = getattr(sys.modules.get("serial.serialutil"), "Timeout", None)
+    found = names.get(id(getattr(timeout, "TIME", None)))
+    return [] if timeout is None or found is None else [(timeout, "TIME", found[1])]
 
 
 def _rebind(names: _Names) -> None:
@@ -170,6 +180,7 @@ def in_virtual_time(rig: TimedRig, children: ChildClock | None = None) -> Iterat
     with (
         program_on(rig.runtime, children) as program,
         _seeded(rig.seed),
+        lines.lines_of(rig, rig.runtime),
         standard_library_replaced(),
     ):
         try:

@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 from pymodbus import FramerType
 from pymodbus.client import (
     AsyncModbusSerialClient,
@@ -24,7 +22,8 @@ from pymodbus.client import (
 )
 from pymodbus.client.mixin import ModbusClientMixin
 
-from tests.support.modbus.capture import SERVER_PORT, to_pcap
+from tests.support.modbus.capture import SERVER_PORT, exchanged, to_pcap
+from tests.support.modbus.libmodbus import SAID, libmodbus_client
 from tests.support.modbus.served_plant import LONG_S, Server
 
 pytestmark = pytest.mark.wall
@@ -192,22 +191,7 @@ def test_mbpoll_reads_and_writes(mbpoll, place):
 
 @pytest.fixture(scope="module")
 def libmodbus(tmp_path_factory: pytest.TempPathFactory) -> str:
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("there is no C compiler (cc)")
-    program = tmp_path_factory.mktemp("libmodbus") / "client"
-    source = Path(__file__).parent / "libmodbus_client.c"
-    built = subprocess.run(
-        [compiler, "-I/usr/include/modbus", str(source), "-o", str(program), "-lmodbus"],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
-    if built.returncode and ("modbus.h" in built.stderr or "-lmodbus" in built.stderr):
-        pytest.skip("libmodbus is not installed: apt-get install libmodbus-dev")
-    assert built.returncode == 0, built.stderr
-    return str(program)
+    return libmodbus_client(tmp_path_factory.mktemp("libmodbus"))
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
@@ -216,7 +200,7 @@ def test_libmodbus_reads_and_writes(libmodbus, server, kind):
     done = subprocess.run(
         [libmodbus, kind, *words], capture_output=True, text=True, timeout=200, check=False
     )
-    assert done.stdout.split() == ["0", "123", "1", "1", "1", "-10"], done.stderr
+    assert done.stdout.split() == SAID, done.stderr
     assert done.returncode == 0
 
 
@@ -234,16 +218,6 @@ def tshark() -> str:
 # The request of libmodbus for the server ID on the serial line: Wireshark 4.0 does not accept RTU
 # frames shorter than 5 bytes (nor 0107E222, read exception status).
 REPORT_SERVER_ID = bytes.fromhex("0111C02C")
-
-
-def exchanged(record: Path, topic: str) -> list[tuple[int, str, bool, bytes]]:
-    """Return (ns, sender, True if to the server, ADU), read by mcap's own reader."""
-    with record.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return [
-            (message.log_time, adu.sender, adu.direction == 2, adu.data)
-            for _, _, message, adu in reader.iter_decoded_messages(topics=[topic])
-        ]
 
 
 def dissected(tshark: str, path: Path, protocol: str) -> list[list[str]]:

@@ -1,8 +1,11 @@
-"""ADUs as packets of a Wireshark capture, on port 502."""
+"""ADUs of a record, and as packets of a Wireshark capture, on port 502."""
 
 import struct
 from collections.abc import Iterable
 from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 SERVER_PORT = 502
 _LINKTYPE_RAW = 101
@@ -27,3 +30,13 @@ def to_pcap(adus: Iterable[tuple[int, str, bool, bytes]], target: Path) -> None:
         seconds, rest_ns = divmod(time_ns, 1_000_000_000)
         rows.append(struct.pack("<IIII", seconds, rest_ns, len(packet), len(packet)) + packet)
     target.write_bytes(b"".join(rows))
+
+
+def exchanged(record: Path, topic: str) -> list[tuple[int, str, bool, bytes]]:
+    """Return (ns, sender, True if to the server, ADU), read by mcap's own reader."""
+    with record.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [
+            (message.log_time, adu.sender, adu.direction == 2, adu.data)
+            for _, _, message, adu in reader.iter_decoded_messages(topics=[topic])
+        ]

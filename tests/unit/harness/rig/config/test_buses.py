@@ -67,6 +67,7 @@ def test_rig_with_lines_is_read_as_written():
         1,
     )
     assert (gateway.kind, gateway.latency_ns) == ("modbus_tcp", 50_000)
+    assert (line.address, gateway.address) == ("/dev/rs485", "gateway:502")
     assert rig.controllers["mast"].node_id == rig.controllers["arm"].node_id == 7
     assert (rig.motors["mast"].bus, rig.motors["mast"].node_id) == ("rs485", 7)
     assert rig.motors["spare"].node_id == 247
@@ -86,7 +87,7 @@ REFUSALS = [
         "baud_bit_s = 115_200",
         "baud = 115_200",
         "3: bus.rs485.baud: unknown key (known: kind, bitrate_bit_s, data_bitrate_bit_s, message, "
-        "node, baud_bit_s, parity, stop_bits, latency_s, timeout_s);"
+        "node, baud_bit_s, parity, stop_bits, latency_s, timeout_s, address);"
         " did you mean baud_bit_s?",
     ),
     (
@@ -99,6 +100,25 @@ REFUSALS = [
         'parity = "M"',
         '4: bus.rs485.parity: unknown parity "M" (known: E, O, N);'
         " take it out, or use one of these",
+    ),
+    (
+        "baud_bit_s = 115_200",
+        'address = "ttyUSB0"',
+        '3: bus.rs485.address: "ttyUSB0" is not the path of a serial port; write "/dev/ttyUSB0"',
+    ),
+    *(
+        (
+            'kind = "modbus_tcp"',
+            f'kind = "modbus_tcp"\naddress = "{address}"',
+            f'8: bus.gateway.address: "{address}" is not the address of a gateway; write'
+            ' "HOST:PORT"',
+        )
+        for address in ("192.0.2.7", ":502", "gateway:0", "gateway:65536", "gateway:\u0661")
+    ),
+    (
+        "baud_bit_s = 115_200",
+        'address = "/dev/a"\n[bus.second]\nkind = "serial"\naddress = "/dev/a"',
+        '6: bus.second.address: "/dev/a" is that of "rs485"; write another',
     ),
     (
         "unit = 7",
