@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 from functools import partial
 from random import Random
 from unittest.mock import ANY
@@ -461,7 +462,7 @@ def with_late_deadlines(wait):
 
 
 def without_a_choice(wait):
-    return lambda participant, number, asks: wait(participant, number, False)
+    return lambda participant, number, asks, is_deaf: wait(participant, number, False, is_deaf)
 
 
 @pytest.mark.wall
@@ -473,7 +474,7 @@ def without_a_choice(wait):
         (23, SharedClock, "look_for_deaths", instead(lambda clock: None), "the model has"),
         (2, Participant, "_wait", with_late_deadlines, "the model has"),
         (3, Participant, "_holds", without_a_choice, "the model has"),
-        (14, _Process, "await_end", instead(lambda process: None), "expected"),
+        (14, _Process, "await_end", instead(lambda process: None), "expected|the model has"),
     ],
     ids=["ties", "not told", "told late", "1 ns late", "no look", "lock kept"],
 )
@@ -481,7 +482,7 @@ def test_fault_of_the_shared_clock_is_found(attempt, owner, name, plant, told, m
     monkeypatch.setattr(owner, name, plant(getattr(owner, name)))
     done = Campaign(program.attack_named("pairs"), SEED)
     done.run(0.0, 1, attempt)
-    assert any(told in finding for finding in done.findings), done.findings
+    assert any(re.search(told, finding) for finding in done.findings), done.findings
 
 
 # --------------------------------------------------------------------------------------- growth
