@@ -32,7 +32,7 @@ from motorhil.motorapi.api import (
 )
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.api import BoundFence
+    from motorhil.motorapi.api import BoundFence, Fault
 
 LIMP: Final = Command()
 _PARAMETERS: Final = 0x7FF
@@ -105,6 +105,8 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
 
     NOUN: ClassVar[str] = "a drive with MIT frames"
     NODE_ID_MAX: ClassVar[int] = 127
+    estimate: Estimate | None
+    fault: "Fault | None"
 
     def _begin(self) -> None:
         own, drive = self.options, self.drive
@@ -293,7 +295,8 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
         if before is None and not self.frames.maker.has_fault(answer.fault):
             self._others.add(f"fault {answer.fault:02X}h, which such a drive does not have")
             return
-        self.answer, self.estimate = answer, Estimate(answer.p, answer.v, time_ns)
+        self.answer = answer
+        self.estimate = Estimate(answer.p, answer.v, time_ns)
         elapsed_s = (time_ns - self.time_ns) / 1e9
         self.time_ns = time_ns
         if answer.is_on is not None:

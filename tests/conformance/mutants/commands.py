@@ -12,8 +12,8 @@ from motorhil.motorapi.adaptations.cia402.profile import TorqueUnit
 from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.ideal.profiles import Led
-from motorhil.motorapi.adaptations.leadshine import hardware as leadshine_hardware
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.api import polled_hardware
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.planning import functions
@@ -107,7 +107,7 @@ def half_the_torque():
 @mutant("leadshine", "SET-05")
 def speeds_are_rounded_up():
     """A speed between two steps of the drive is rounded up."""
-    with replaced(leadshine_hardware, "floor", lambda floor: ceil):
+    with replaced(polled_hardware, "floor", lambda floor: ceil):
         yield
 
 
