@@ -76,7 +76,7 @@ NOT_APPLICABLE = {
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
             *("TRAJ-14", "FAULT-07"),
             *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
-            *("HEAR-05", "HOME-03", "LOW-03", "LOW-04", "LOST-07", "OTHER-01", "SHARE-02"),
+            *("HEAR-05", "LOW-04", "SHARE-02"),
             *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
         }
     ),
@@ -89,7 +89,7 @@ NOT_APPLICABLE = {
             *("SET-05", "SYNC-05"),
         }
     ),
-    "vesc": _SAMPLED,
+    "vesc": _SAMPLED - {"LOW-03", "LOST-07"},
 }
 
 

@@ -127,7 +127,8 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     ],
     "RobStride options": of_motor(
         "robstride",
-        "period_ms = 4.0\nquiet_ms = 16.0\ntimeout_ms = 80.0\nconnect_timeout_s = 1.5",
+        "host_id = 170\nperiod_ms = 4.0\nquiet_ms = 16.0\ntimeout_ms = 80.0\n"
+        "connect_timeout_s = 1.5",
     ),
     "moteus options": [
         *of_motor("moteus", "poll_ms = 8.0\nwatchdog_ms = 120.0\ntimeout_ms = 80.0"),

@@ -52,8 +52,9 @@ _STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by fr
     "robstride": lambda node: pack(EFF_FLAG | 0x0400_FD00 | node, bytes(8)),  # stop
     "rmd": lambda node: pack(0x140 + node, b"\x81" + bytes(7)),  # motor stop
     "vesc": lambda node: pack(EFF_FLAG | 0x0300 | node, bytes(4)),  # a speed of 0
+    "moteus": lambda node: pack_fd(node, b"\1\0\0", BRS),  # mode 0, stopped
 }
-_SWITCHED: Final = ("mit", "robstride", "rmd", "dynamixel", "leadshine_pr")
+_SWITCHED: Final = ("mit", "robstride", "rmd", "dynamixel", "leadshine_pr", "moteus", "vesc")
 """Kinds of controllers whose stimulus `power` switches all of them off and on."""
 _POWER_S: Final = 0.05
 """Time without power of a restarted drive [s]."""

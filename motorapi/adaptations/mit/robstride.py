@@ -36,6 +36,7 @@ ROBSTRIDES: Final = {
 _COMMAND, _FEEDBACK = 1 << 24, 2 << 24
 _TYPES: Final = {Special.ENTER: 3, Special.LEAVE: 4, Special.CLEAR: 4, Special.ZERO: 6}
 _RUN: Final = 2
+_FACTORY_HOST: Final = 0xFD
 
 
 @final
@@ -59,9 +60,14 @@ class RobstrideFrames(Frames):
         return self._id(_TYPES[special], self.master_id), bytes((first, 0, 0, 0, 0, 0, 0, 0))
 
     def answers(self) -> Iterable[int]:
-        """Return the identifiers of feedback: each mode, each set of faults."""
-        place = self.node_id << 8 | self.master_id
-        return (_FEEDBACK | m << 22 | f << 16 | place for m, f in product(range(3), range(64)))
+        """Return the identifiers of feedback: each mode, each set of faults, to two hosts.
+
+        Commands do not name their host: a drive answers the factory's until a request names one.
+        """
+        hosts = dict.fromkeys((self.master_id, _FACTORY_HOST))
+        place = _FEEDBACK | self.node_id << 8
+        states = product(hosts, range(3), range(64))
+        return (place | mode << 22 | faults << 16 | host for host, mode, faults in states)
 
     def requests(self) -> Iterable[int]:
         """Return the identifiers of requests of other hosts, except commands."""
@@ -89,7 +95,7 @@ class RobstrideOptions(MitOptions):
     """The options of a hardware object of a RobStride or CyberGear drive."""
 
     drive: str = word("rs01", ROBSTRIDES, "model", "Its model, which determines the ranges.")
-    host_id: int = whole(0xFD, 0, 0xFF, "", "Number of this host.")
+    host_id: int = whole(_FACTORY_HOST, 0, 0xFF, "", "Number of this host.")
 
     def frames(self, node_id: int) -> Frames:
         """Return the frames of the drive with this number."""

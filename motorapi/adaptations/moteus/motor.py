@@ -10,6 +10,7 @@ Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import isnan, nan, tau
 from struct import Struct
@@ -23,9 +24,9 @@ from motorhil.motorapi.api import (
     ControlMode,
     ControlVariable,
     Fault,
+    LinkError,
     Measurement,
     Motion,
-    MotionInterrupted,
     MotionKind,
     MotionTimes,
     MotorBusyError,
@@ -65,6 +66,7 @@ _COMMAND_HEADS: Final = tuple(map(bytes.fromhex, ("01000a", "0e20", "0f27")))
 _MODE_WRITE: Final = bytes.fromhex("0100")
 _STOP: Final = bytes.fromhex("010000")
 _OUTPUT_ZERO: Final = bytes.fromhex("0db102 00000000")  # write 131 as float
+_OUTPUT_WRITES: Final = tuple(map(bytes.fromhex, ("0db002", "0db102")))  # 130 or 131
 _STATES: Final = {
     FAULT: MotorState.FAULT,
     POSITION: MotorState.ENABLED,
@@ -156,6 +158,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         status: the last reply, or None.
         is_over: whether the last command has ended.
         started_ns, ended_ns: when the last motion began and ended [ns]; None: not known.
+        has_lost_zero: whether it has, or may have, restarted since its zero was set.
     """
 
     OPTIONS = MoteusOptions
@@ -177,6 +180,11 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         self._fed: Order | None = None  # repeated, as the motion goes on
         self._order = hold(0.0)
         self._sent: SentFrame | None = None  # the last command
+        self.has_lost_zero: bool = False
+        self._is_motion = False  # the last command, not a stop
+        self._is_zeroed = False  # by a host, which it forgets without power
+        self._may_stop = True  # it is, or was, told to
+        self._was_lost = False
         self._window = 0.0
         self._last: tuple[Callable[..., SentFrame], bytes] | None = None
         self._life = drive.expect("reply", self.options.timeout_ms / 1e3, self._lose)
@@ -213,6 +221,10 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         self._fed = None
         super().forget()
 
+    def _lose(self) -> None:
+        super()._lose()
+        self._was_lost = True
+
     @property
     def fault(self) -> Fault | None:
         """Return the fault of the last reply, or None."""
@@ -226,14 +238,14 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
 
     def begin(self, order: Order, window: float) -> None:
         """Begin a motion, which ends within the window [rev or rev/s]."""
-        self._fed = order
+        self._fed, self._is_motion = order, True
         data = order.packed(self.options.watchdog_ms / 1e3)
         sent = self._follow(order, window, self.drive.command, data)
         self.started_ns, self.ended_ns = self.drive.confirm(sent), None
 
     def brake(self, deceleration: float, window: float) -> None:
         """Slow down, then hold; needs no ownership."""
-        self._fed = None
+        self._fed, self._is_motion = None, False
         is_obeyed = self.status is not None and self.status.mode in (POSITION, *_OTHERS)
         self.is_over = not is_obeyed  # it rests, or a timeout has stopped it
         if is_obeyed:
@@ -242,7 +254,8 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
 
     def call_here_zero(self, window: float) -> None:
         """Make the present position that of the output's zero."""
-        self._fed = None
+        self._fed, self._is_motion = None, False
+        self.has_lost_zero, self._is_zeroed = False, True
         self._follow(hold(0.0), window, self.drive.command, _OUTPUT_ZERO)
 
     def obey(self, data: bytes, is_there: Callable[[Status], bool], awaited: str) -> None:
@@ -251,7 +264,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         Raises:
             DeadlineExceeded: there was none.
         """
-        self._fed, self.is_over = None, True
+        self._fed, self.is_over, self._may_stop = None, True, True
         self._last = last = self.drive.command, data
         since: list[SentFrame] = []
 
@@ -262,6 +275,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         self.drive.exchange(
             lambda: since.append(self._tell(*last)), is_answered, _ANSWER_S, awaited
         )
+        self._may_stop = data == _STOP
 
     def _shows(self, status: Status, sent: SentFrame | None) -> bool:
         """Return whether a reply shows the state after a command, as its own reply does not."""
@@ -341,14 +355,41 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
         if mode == FAULT and (before is None or before.mode != FAULT):
             self._fault_since_ns = time_ns
         self._life.came(time_ns)
-        if self._fed is None and not self.is_over:
+        self._see_restart(mode)
+        if self._fed is None and self.is_over:
+            return
+        if self._is_motion and mode != POSITION:
+            if self._shows(self.status, self._sent):
+                self._break_off(mode, time_ns)
+        elif self._fed is None:
             self.is_over = self._has_arrived() or mode < POSITION
-        elif mode in (STOPPED, FAULT, TIMEOUT) and self._shows(self.status, self._sent):
-            self._fed = None
+
+    def _see_restart(self, mode: int) -> None:
+        """Note whether the drive has, or may have, restarted; a host's zero is lost then."""
+        is_off = mode < POSITION and mode != FAULT
+        if is_off and self._is_zeroed and (self._was_lost or not self._may_stop):
+            self.has_lost_zero, self._is_zeroed = True, False
+        self._was_lost = False
+
+    def _break_off(self, mode: int, time_ns: int) -> None:
+        """End a motion that the drive no longer makes; switch off what its command enabled anew."""
+        was_fed = self._fed is not None
+        self._fed, self.is_over = None, True
+        if mode == FAULT:
+            return
+        by = "its watchdog (mode 11)" if mode == TIMEOUT else "the drive, now stopped"
+        self.drive.physical.stopped_elsewhere(by, time_ns)
+        if was_fed and mode < POSITION:
+            self._last = self.drive.stop_command, _STOP
+            with suppress(LinkError):
+                self._tell(*self._last)
 
     def _on_foreign(self, data: bytes, time_ns: int) -> None:
         """Handle a command of another program, which gives all in one frame."""
+        if data.startswith(_OUTPUT_WRITES):
+            self._is_zeroed = True
         if data.startswith(_MODE_WRITE):
+            self._may_stop, self._is_motion = True, False
             self.overheard(f"mode {data[2:3].hex()}h", time_ns)
 
 
@@ -429,17 +470,10 @@ class MoteusMotor(CanMotor[MoteusHwMotor]):
         return replace(motion, acceleration=least, deceleration=least)
 
     def _is_done(self) -> bool:
-        hardware, run = self.hardware, self._physical.run
+        hardware = self.hardware
         hardware.drive.check()
         self._check_fault()
-        status = hardware.status
-        if status is None:
-            return run is None
-        is_off = status.mode in (STOPPED, TIMEOUT)
-        if is_off and run is not None and run.motion is not None and not hardware.is_over:
-            by = "its watchdog (mode 11)" if status.mode == TIMEOUT else "the drive, now stopped"
-            raise MotionInterrupted(motor=self.name, by=by, at_ns=status.time_ns)
-        return hardware.is_over
+        return self._physical.run is None if hardware.status is None else hardware.is_over
 
     def _read_reference(self) -> float:
         status = self.hardware.status
@@ -460,8 +494,9 @@ class MoteusMotor(CanMotor[MoteusHwMotor]):
         self.hardware.call_here_zero(self._window)
 
     def _read_referenced(self) -> bool:
-        status = self.hardware.status
-        return status is not None and status.home == _HOME_OUTPUT
+        hardware, status = self.hardware, self.hardware.status
+        is_known = status is not None and status.home == _HOME_OUTPUT
+        return is_known and not hardware.has_lost_zero
 
     def _position_source(self) -> str:
         return "register 001h"

@@ -95,10 +95,11 @@ _VALUE: Final = Struct(">i")
 _STATUS_S: Final = 0.01  # least usual period of the status frames
 _PACKET_S: Final = 0.025  # of ALIVE, and of asking for the fault, in turns
 _NEAR: Final = 0.05  # turns: a position so little below a span is one below 0
+_JUMP: Final = 0.5  # turns by which two tachometers in succession disagree with the velocity
 _FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is the wrong one
 _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
-_BOOTED_NS: Final = 1_000_000_000
+_BOOTED_NS: Final = 700_000_000  # after its first frames, a notice is that of another start
 _LATE_NS: Final = 400_000_000  # an angle so late and a tachometer in time are not of one position
 _ERPM_MAX: Final = 2**31 - 1
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
@@ -364,6 +365,10 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         if angle is None or velocity is None:
             return
         turns = (_TACHOMETER.unpack(data)[0] + 0.5) / (6.0 * self.options.pole_pairs)
+        if self.estimate is not None and self._begins_anew(turns, velocity, time_ns):
+            self._restart()
+            self._since_ns = time_ns
+            return
         offset = angle + velocity * (time_ns - self._angle_ns) / 1e9 - turns
         power_on, is_doubtful = self._power_on, self._is_kept and self.estimate is None
         if power_on is None or (
@@ -403,6 +408,14 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         difference = (change + span / 2.0) % span - span / 2.0
         possible = 1.0 + (speed + abs(velocity_then)) * (now_ns - time_ns) / 1e9
         return abs(difference) > _NEAR + speed * _STATUS_S or abs(turns - before) > possible
+
+    def _begins_anew(self, turns: float, velocity: float, now_ns: int) -> bool:
+        """Return whether the tachometer has jumped to its value at power-on, 0."""
+        before, velocity_then, time_ns = self._tachometer
+        elapsed_s = (now_ns - time_ns) / 1e9
+        expected = before + 0.5 * (velocity + velocity_then) * elapsed_s
+        possible = _JUMP + abs(velocity - velocity_then) * elapsed_s
+        return abs(turns) <= _JUMP + abs(velocity) * elapsed_s and abs(turns - expected) > possible
 
     def _check_following(self, position: float) -> None:
         """Stop a motion whose motor is so far behind that the controller would turn back."""

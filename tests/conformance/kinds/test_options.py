@@ -75,7 +75,6 @@ NOT_STATED = {
     "eds": _FILE,
     "nonvolatile_memory": _FILE,
     "node_id_by_lss": "LSS-02 takes the node-ID away and gives it again",
-    "robstride host_id": "a drive that knows no host yet answers FDh, whatever this is",
     "moteus rotor_to_output_ratio": "the model's gear ratio tells it, too",
     "moteus can_prefix": "the adaptation speaks to no other prefix",
     "moteus kp_n_m_rev": "the gains of the rig's servo",

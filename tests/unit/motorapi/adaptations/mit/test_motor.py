@@ -420,6 +420,19 @@ def test_wrong_identifier_of_answers_is_told():
         rig.motors["left"].position()
 
 
+def test_drive_that_knows_no_host_is_heard_by_any():
+    """Its commands do not name the host: it answers FDh before a request, and after power-on."""
+    with opened("rs01", motor="host_id = 0xAA\n") as rig:
+        motor = rig.motors["left"]
+        assert motor.position() == pytest.approx(0.0, abs=0.001)
+        motor.enable()
+        rig.controllers["left"].stimulate("power", 0.0)
+        rig.runtime.run_for(0.3)
+        rig.controllers["left"].stimulate("power", 1.0)
+        rig.runtime.run_for(0.3)
+        assert motor.state() is MotorState.DISABLED
+
+
 def test_answers_of_another_motor_are_named():
     other = can.Message(arbitration_id=2, data=b"\xff" * 8, is_extended_id=False)
     with (

@@ -240,6 +240,56 @@ def test_watchdog_stops_the_motor_without_its_host(rig):
     assert true(rig, "velocity_rad_s") == pytest.approx(0.0, abs=0.05)
 
 
+def restart(rig):
+    rig.controllers["left"].stimulate("power", 0.0)
+    rig.runtime.run_for(0.05)  # shorter than the silence that is a loss
+    rig.controllers["left"].stimulate("power", 1.0)
+    rig.runtime.run_for(0.3)
+
+
+@pytest.mark.parametrize("variable", [ControlVariable.POSITION, ControlVariable.VELOCITY])
+def test_restart_interrupts_the_motion_and_leaves_the_drive_off(rig, variable):
+    motor = rig.motors["left"]
+    motor.enable()
+    motor.set_control_mode(ControlMode.SETPOINT, variable)
+    motor.set_setpoint(1.5)
+    motor.start()
+    rig.runtime.run_for(0.5)  # the velocity is reached
+    restart(rig)
+    assert true(rig, "mode") == 0
+    assert motor.state() is MotorState.DISABLED
+    motor.enable()
+    with pytest.raises(MotionInterrupted, match="the drive, now stopped"):
+        motor.wait_until_done(timeout_s=2)
+    go_to(motor, 0.2)
+    motor.wait_until_done(timeout_s=2)
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.5])
+def test_zero_set_by_a_host_is_not_known_after_a_restart(seconds):
+    with opened(drive=FREE + "output_encoder = true\n") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        restart(rig)
+        assert motor.is_referenced()  # to the zero of its encoder
+        motor.enable()
+        go_to(motor, 0.3)
+        motor.wait_until_done(timeout_s=2)
+        motor.home(35)
+        assert motor.is_referenced()
+        motor.disable()
+        motor.enable()
+        assert motor.is_referenced()
+        rig.controllers["left"].stimulate("power", 0.0)
+        rig.runtime.run_for(seconds)
+        rig.controllers["left"].stimulate("power", 1.0)
+        rig.runtime.run_for(0.3)
+        assert not motor.is_referenced()
+        motor.enable()
+        motor.home(35)
+        assert motor.is_referenced()
+
+
 def test_timeout_is_told_and_left_by_enable(rig):
     motor = rig.motors["left"]
     motor.enable()

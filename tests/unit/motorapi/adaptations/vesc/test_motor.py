@@ -387,6 +387,23 @@ def test_restarted_drive_is_noticed_and_moves_again():
         assert true(rig) == pytest.approx(1.5, abs=0.005)
 
 
+def test_restart_in_a_motion_ends_it_before_the_boot_notice():
+    """The notice comes half a second after a start; within 0.7 s of the first frames it is old."""
+    with opened(f"{GAINS}\nencoder_turns = 8", within=0.002) as rig:  # its angle stays the same
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 0.5)
+        assert rig.runtime.wait_until(lambda: true(rig) * 66 / tau > 1.3, 1.0)
+        rig.controllers["left"].stimulate("power", 0)
+        rig.runtime.run_for(0.05)
+        rig.controllers["left"].stimulate("power", 1)
+        rig.runtime.run_for(0.05)
+        assert motor.hardware.motions.variable is None
+        with pytest.raises(MotionInterrupted, match="the drive"):
+            motor.wait_until_done(timeout_s=3)
+        assert motor.state() is not MotorState.ENABLED
+
+
 def test_restart_at_the_place_of_power_on_is_told_by_the_boot_notice():
     with opened() as rig:
         motor = rig.motors["left"]
