@@ -48,6 +48,10 @@ _CIA402: Final[Mapping[str, Sequence[Change]]] = {
     ),
     "lost host disables": of_motor("cia402", "connection_loss = 2"),
     "lost host is a fault": of_motor("cia402", "connection_loss = 1"),
+    "status by SDO": [  # start() hears of it late; a wait lasts as long as its request
+        *of_motor("cia402", "status_period_ms = 0\nsdo_timeout_s = 0.05"),
+        ("latency_s = [0.0, 0.001]", "latency_s = [-0.003, 0.001]"),
+    ],
     "limited jerk": [('kind = "cia402"\n', 'kind = "cia402"\n'), _JERK],
     "drive boots late": [
         ('kind = "cia402"\n', 'kind = "cia402"\ntiming = { boot_up_s = 1.0, enable_s = 0.1 }\n')
