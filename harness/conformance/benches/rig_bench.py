@@ -53,7 +53,7 @@ _STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by fr
     "rmd": lambda node: pack(0x140 + node, b"\x81" + bytes(7)),  # motor stop
     "vesc": lambda node: pack(EFF_FLAG | 0x0300 | node, bytes(4)),  # a speed of 0
 }
-_SWITCHED: Final = ("mit", "robstride", "rmd", "dynamixel", "leadshine_pr")
+_SWITCHED: Final = ("mit", "robstride", "rmd", "dynamixel", "leadshine_pr", "oriental_az")
 """Kinds of controllers whose stimulus `power` switches all of them off and on."""
 _POWER_S: Final = 0.05
 """Time without power of a restarted drive [s]."""

@@ -11,7 +11,7 @@ Source: an open-source master for these drives, and the description of the maker
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.modbus.client import ModbusExchange
-from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, as_i32, words
 from motorhil.motorapi.api.polled_hardware import (
     BOOT_S,
     HERE,
@@ -103,13 +103,7 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
                 f"{self.label}: its electronic gear A = {a} (0380h), B = {b} (0382h) gives no"
                 f" scale; expected 1 to {_GEAR_MAX}; set both in the drive"
             )
-        if self._is_enabled and self._asked_at[1] != standing[1]:
-            self._is_enabled = self._remembers()
         return 1000.0 * b / a
-
-    def _remembers(self) -> bool:
-        """Return whether the drive was enabled since its power-on, which clears its inputs."""
-        return bool(self.registers.read_i32(_INPUTS) & _M0)
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -120,7 +114,7 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         places = registers.read_i32, _POSITION, _DEMAND
         position, demand, time_ns = self._read_positions(*places)
         speed = registers.read_i32(_SPEED)
-        outputs = registers.read_i32(_OUTPUTS)
+        outputs = self._read_outputs()
         if self._is_old(time_ns):
             position, demand, time_ns = self._read_positions(*places)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
@@ -138,6 +132,19 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
             at_velocity=hz is not None and self._is_at(speed, hz),
         )
         return self._poll_of(told, model)
+
+    def _read_outputs(self) -> int:
+        """Read the outputs, with the inputs: they tell of a restart in between two polls."""
+        was_enabled = self._is_enabled
+        _, inputs, *outputs = self.registers.read(_INPUTS, 4)
+        if was_enabled and not self._remembers(inputs):
+            self._is_enabled = False
+            self._asked_at = (-1, 0)  # its power-on values count
+        return as_i32(*outputs)
+
+    def _remembers(self, inputs: int) -> bool:
+        """Return whether the drive was enabled since its power-on, which clears its inputs."""
+        return bool(inputs & _M0)
 
     def _is_at(self, speed: int, hz: int) -> bool:
         """Return whether the speed is `hz`, for low speeds by their demand."""

@@ -104,6 +104,26 @@ def test_drive_after_power_loss_is_not_enabled(rig, has_moved):
     assert mast.state() is MotorState.ENABLED
 
 
+@pytest.mark.parametrize("adaptation", ["oriental_az"])
+@pytest.mark.parametrize("has_moved", [True, False])
+def test_power_loss_without_a_request_is_noticed(rig, adaptation, has_moved):
+    mast = rig.motors["mast"]
+    mast.enable()
+    with mast.low_level() as hardware:
+        address, values = COARSER[adaptation]
+        hardware.registers.write(address, *values)
+    if has_moved:
+        go_to(mast, 0.1)
+    drive = rig.controllers["mast"]
+    drive.stimulate("power", 0)
+    drive.stimulate("power", 1)
+    run_s(rig, 2.0)
+    assert mast.state() is MotorState.DISABLED
+    before, here = truth(rig)["position_rad"], mast.position()
+    go_to(mast, here + 0.2)
+    assert truth(rig)["position_rad"] - before == pytest.approx(0.2, abs=RESOLUTION)
+
+
 def test_drive_after_a_lost_answer_is_still_enabled(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.1)
