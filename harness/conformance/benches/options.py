@@ -110,6 +110,10 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     ],
     "dryve options": of_motor("dryve", "timeout_s = 0.3"),
     "servo options": of_motor("dynamixel", "timeout_s = 0.08"),
+    "servo in velocity mode": [  # without position control, it yields to a load
+        *of_motor("dynamixel", 'mode = "velocity"'),
+        ("window_rad = 0.004", "window_rad = 0.008"),
+    ],
     "ideal motor begins at 0.3 rad": of_motor(
         "ideal", "position_rad = 0.3\ntorque_constant_n_m_a = 0.5"
     ),
