@@ -77,6 +77,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         "timing = { boot_up_s = 0.5, reply_s = 0.003 }\n"
         "switches = { limit_backward_rad = -500.0, limit_forward_rad = 500.0, home_rad = 300.0 }",
     ),
+    "AZ drive keeps its trigger": of_controller("oriental_az", "trigger_auto_clear = false"),
     "impedance drive options": of_controller("mit", "boot_up_s = 0.3\nanswer_bytes = 8"),
     "RobStride drive options": of_controller("robstride", "boot_up_s = 0.3"),
     "moteus drive options": of_controller(

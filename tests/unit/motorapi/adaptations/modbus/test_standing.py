@@ -155,3 +155,29 @@ def test_stop_ramp_is_written_again_after_power_loss(rig):
     assert mast.hardware.registers.read(QUICK_RAMP) != told
     go_to(mast, 0.2)
     assert mast.hardware.registers.read(QUICK_RAMP) == told
+
+
+@pytest.mark.parametrize("stops_first", [False, True])
+@pytest.mark.parametrize("clears", ["true", "false"])
+def test_az_drive_that_keeps_its_trigger_starts_and_stops(clears, stops_first):
+    kind = 'kind = "oriental_az"\n'
+    rig_text = text("oriental_az").replace(kind, f"{kind}trigger_auto_clear = {clears}\n")
+    assert "trigger_auto_clear" in rig_text
+    with opened(rig_text) as rig:
+        mast = rig.motors["mast"]
+        mast.enable()
+        if stops_first:
+            mast.stop()
+            mast.wait_until_done(1)
+        for target in (0.1, 0.2, 0.3):
+            go_to(mast, target)
+            assert truth(rig)["position_rad"] == pytest.approx(target, abs=RESOLUTION)
+        for target in (2.0, 5.0):  # the second replaces the first in motion
+            mast.set_setpoint(target)
+            mast.start()
+            run_s(rig, 0.3)
+        before = truth(rig)["position_rad"]
+        mast.stop()
+        mast.wait_until_done(2)
+        assert truth(rig)["position_rad"] - before < 0.6  # 2 rad/s, ended by 4 rad/s^2: 0.5 rad
+        go_to(mast, 0.0)
