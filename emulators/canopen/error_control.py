@@ -88,36 +88,42 @@ class HeartbeatConsumer:
     def __init__(self, od: ObjectDictionary, outbox: Outbox) -> None:
         self._od = od
         self._outbox = outbox
-        self._watches: list[_Watch] = []
+        self._watches: dict[int, _Watch] = {}  # by sub-index
         self.deadline_ns: int = NEVER
         for subindex in od.subindices(0x1016):
             variable = od.get(0x1016, subindex)
             if subindex and variable is not None:
                 variable.writer = _EntryCheck(od, subindex).check
 
-    def configure(self) -> list[int]:
+    def configure(self, written: int | None = None) -> list[int]:
         """Watch the nodes of 1016h, starting when they are first heard.
 
+        Args:
+            written: the only sub-index to watch anew; None: all.
+
         Returns:
-            The nodes that were lost until now.
+            The nodes that were lost until now, and are watched anew or no longer.
         """
-        lost = [watch.node_id for watch in self._watches if watch.is_lost]
-        self._watches = []
+        before, self._watches = self._watches, {}
         for subindex in self._od.subindices(0x1016):
+            if written not in (None, subindex):
+                if subindex in before:
+                    self._watches[subindex] = before.pop(subindex)
+                continue
             entry = self._od.integer(0x1016, subindex, 0) if subindex else 0
             node_id, period_ns = entry >> 16 & 0xFF, (entry & 0xFFFF) * MS
             if 1 <= node_id <= 127 and period_ns:
-                self._watches.append(_Watch(node_id, period_ns))
+                self._watches[subindex] = _Watch(node_id, period_ns)
         self._find_deadline()
-        return lost
+        return [watch.node_id for watch in before.values() if watch.is_lost]
 
     def can_ids(self) -> list[int]:
         """Return the identifiers of the watched heartbeats."""
-        return [_ERROR_CONTROL + watch.node_id for watch in self._watches]
+        return [_ERROR_CONTROL + watch.node_id for watch in self._watches.values()]
 
     def receive(self, can_id: int, now_ns: int) -> bool:
         """Process a heartbeat or boot-up; return True if that node had been lost."""
-        for watch in self._watches:
+        for watch in self._watches.values():
             if watch.node_id == can_id - _ERROR_CONTROL:
                 watch.deadline_ns = now_ns + watch.period_ns
                 was_lost = watch.is_lost
@@ -129,7 +135,7 @@ class HeartbeatConsumer:
     def expire(self, now_ns: int) -> list[int]:
         """Return the node-IDs lost now; each is reported once until it is heard again."""
         lost = []
-        for watch in self._watches:
+        for watch in self._watches.values():
             if watch.deadline_ns <= now_ns:
                 watch.deadline_ns = NEVER
                 watch.is_lost = True
@@ -139,7 +145,7 @@ class HeartbeatConsumer:
 
     def _find_deadline(self) -> None:
         deadline_ns = NEVER
-        for watch in self._watches:
+        for watch in self._watches.values():
             if watch.deadline_ns < deadline_ns:
                 deadline_ns = watch.deadline_ns
         self.deadline_ns = deadline_ns
@@ -273,10 +279,10 @@ class ErrorControl:
         self._producer.boot_up(now_ns)
         self._find_deadline()
 
-    def configure(self, index: int, now_ns: int) -> None:
+    def configure(self, index: int, subindex: int, now_ns: int) -> None:
         """Apply a write to 100Ch, 100Dh, 1016h or 1017h."""
         if index == 0x1016:
-            for node_id in self._consumer.configure():
+            for node_id in self._consumer.configure(subindex):
                 self._emcy.repair(HEARTBEAT_KEY + node_id, now_ns)
         elif index == 0x1017:
             self._producer.configure(now_ns)

@@ -256,7 +256,7 @@ class CanopenNode:
 
     # --- for the parts of the node
 
-    def configured(self, index: int, now_ns: int) -> None:
+    def configured(self, index: int, subindex: int, now_ns: int) -> None:
         """Let the part concerned reread its settings after a write to 1000h..1FFFh."""
         if 0x1400 <= index <= 0x1BFF:
             self._pdos.configure(index, now_ns)
@@ -270,7 +270,7 @@ class CanopenNode:
             self._emcy.configure(now_ns)
             return
         elif index in (0x100C, 0x100D, 0x1016, 0x1017):
-            self._error_control.configure(index, now_ns)
+            self._error_control.configure(index, subindex, now_ns)
         else:
             return
         self._listen()

@@ -444,7 +444,7 @@ class ObjectDictionary:
 class ConfigurationListener(Protocol):
     """A listener for writes to communication objects."""
 
-    def configured(self, index: int, now_ns: int) -> None:
+    def configured(self, index: int, subindex: int, now_ns: int) -> None:
         """Handle a new value of a sub-index of 1000h..1FFFh."""
 
 
@@ -501,7 +501,7 @@ class DictionaryAccess:
         if code:
             return code
         if 0x1000 <= index <= 0x1FFF:
-            self._listener.configured(index, now_ns)
+            self._listener.configured(index, subindex, now_ns)
         self._host.on_write(now_ns)
         return 0
 

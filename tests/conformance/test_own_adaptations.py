@@ -80,7 +80,7 @@ NOT_APPLICABLE = {
             *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
         }
     ),
-    "oriental_az": _POLLED,
+    "oriental_az": _POLLED - _OF_RESTARTS,
     "rmd": _SAMPLED - {"LOW-03", "LOST-07"},
     "robstride": _STREAMED,
     "software": frozenset(

@@ -48,6 +48,10 @@ _CIA402: Final[Mapping[str, Sequence[Change]]] = {
     ),
     "lost host disables": of_motor("cia402", "connection_loss = 2"),
     "lost host is a fault": of_motor("cia402", "connection_loss = 1"),
+    "status by SDO": [  # start() hears of it late; a wait lasts as long as its request
+        *of_motor("cia402", "status_period_ms = 0\nsdo_timeout_s = 0.05"),
+        ("latency_s = [0.0, 0.001]", "latency_s = [-0.003, 0.001]"),
+    ],
     "limited jerk": [('kind = "cia402"\n', 'kind = "cia402"\n'), _JERK],
     "drive boots late": [
         ('kind = "cia402"\n', 'kind = "cia402"\ntiming = { boot_up_s = 1.0, enable_s = 0.1 }\n')
@@ -73,6 +77,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         "timing = { boot_up_s = 0.5, reply_s = 0.003 }\n"
         "switches = { limit_backward_rad = -500.0, limit_forward_rad = 500.0, home_rad = 300.0 }",
     ),
+    "AZ drive keeps its trigger": of_controller("oriental_az", "trigger_auto_clear = false"),
     "impedance drive options": of_controller("mit", "boot_up_s = 0.3\nanswer_bytes = 8"),
     "RobStride drive options": of_controller("robstride", "boot_up_s = 0.3"),
     "moteus drive options": of_controller(
@@ -106,6 +111,10 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     ],
     "dryve options": of_motor("dryve", "timeout_s = 0.3"),
     "servo options": of_motor("dynamixel", "timeout_s = 0.08"),
+    "servo in velocity mode": [  # without position control, it yields to a load
+        *of_motor("dynamixel", 'mode = "velocity"'),
+        ("window_rad = 0.004", "window_rad = 0.008"),
+    ],
     "ideal motor begins at 0.3 rad": of_motor(
         "ideal", "position_rad = 0.3\ntorque_constant_n_m_a = 0.5"
     ),

@@ -54,7 +54,10 @@ _STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by fr
     "vesc": lambda node: pack(EFF_FLAG | 0x0300 | node, bytes(4)),  # a speed of 0
     "moteus": lambda node: pack_fd(node, b"\1\0\0", BRS),  # mode 0, stopped
 }
-_SWITCHED: Final = ("mit", "robstride", "rmd", "dynamixel", "leadshine_pr", "moteus", "vesc")
+_SWITCHED: Final = (
+    *("mit", "robstride", "rmd", "dynamixel", "moteus", "vesc"),
+    *("leadshine_pr", "oriental_az"),
+)
 """Kinds of controllers whose stimulus `power` switches all of them off and on."""
 _POWER_S: Final = 0.05
 """Time without power of a restarted drive [s]."""

@@ -185,6 +185,8 @@ NOT_VARIED: Final = ("a second program that takes the motor",)
 _AND: Final = " + "
 OWN: Final = ""
 """The name of the rig as it is."""
+_FEWER: Final = ("6502h", 'mode = "velocity"')
+"""The settings with which a motor claims less."""
 _OWN_SHARE: Final = 3
 """The rig as it is checks one clause of so many."""
 
@@ -224,7 +226,7 @@ def changes_of(name: str) -> list[Change]:
 
 def changes_claims(name: str) -> bool:
     """Return whether motors with this variation claim less than those of the rig as it is."""
-    return any("6502h" in after for _, after in changes_of(name))
+    return any(one in after for _, after in changes_of(name) for one in _FEWER)
 
 
 def pairs_of(text: str, names: Sequence[str]) -> list[str]:

@@ -280,20 +280,25 @@ class CspStream:
             self._fail()
 
     def _is_followed(self, now_ns: int) -> bool:
-        """Return whether the drive moves while its set-points do; without SYNC it does not."""
+        """Return whether the drive moves while its set-points do; without SYNC it does not.
+
+        Without a TPDO, only a position that was read in the last period shows where the drive is.
+        """
         position, (stood, target, since_ns) = self._node.position_inc, self._stood
         made_inc = _STIRS * abs(position - stood)  # a drive that stands still may oscillate
         if self._cycle == 1 or made_inc > abs(self._target - target) or self._target == target:
             self._stood = (position, self._target, now_ns)
             return True
         stood_ns = now_ns - since_ns
-        if self._behind_inc is None or stood_ns < _DEAF_NS or not self._node.status_is_cyclic:
+        if self._behind_inc is None or stood_ns < _DEAF_NS:
+            return True
+        if not self._node.status_is_cyclic and now_ns - self._node.status_ns > self.period_s * 1e9:
             return True
         behind_inc = self._behind_inc if stood_ns < _STUCK_NS else self._behind_inc // _FAR
         return abs(self._target - target) <= behind_inc
 
     def _not_followed(self) -> LinkError:
-        if self._node.is_told:
+        if self._node.is_told or not self._node.status_is_cyclic:
             reason = "the drive stands still while its set-points move; "
             reason += "is it blocked, or without SYNC?"
         else:

@@ -5,13 +5,17 @@ the turns of the motor per turn of the output. One request of sixteen registers 
 motion. The request is sent only once, even if its answer is lost. A stop is an operation type of
 the same block.
 
+A drive ignores a trigger that it has already. One drive clears its trigger after each operation,
+another keeps it. On the other, the trigger is cleared before each start. A stop is one request, so
+it uses another trigger there: that of the operation type alone, with the ramp of the motion.
+
 Source: an open-source master for these drives, and the description of the maker's emulator.
 """
 
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.motorapi.adaptations.modbus.client import ModbusExchange
-from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, words
+from motorhil.motorapi.adaptations.modbus.unit import ModbusUnit, as_i32, words
 from motorhil.motorapi.api.polled_hardware import (
     BOOT_S,
     HERE,
@@ -29,6 +33,7 @@ if TYPE_CHECKING:
     from motorhil.motorapi.runtime.api import Runtime
 
 _BLOCK: Final = 0x0058
+_TRIGGER: Final = 0x0066
 _INPUTS: Final = 0x007C
 _PULSED_INPUTS: Final = 0x0078
 _OUTPUTS: Final = 0x007E
@@ -45,6 +50,8 @@ _GEAR_MAX: Final = 65_535
 _ABSOLUTE: Final = 1
 _CONTINUOUS: Final = 16
 _DECELERATE: Final = 0
+_ALL: Final = 1  # triggers: the whole block,
+_TYPE_ALONE: Final = -6  # or its operation type
 
 _M0: Final = 0x0001  # selects stored data, without effect of its own; power-on clears it
 _FREE: Final = 0x0040
@@ -86,6 +93,8 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         self._deceleration = 1_000_000
         self._current = _FULL_CURRENT
         self._hz: int | None = None  # commanded; None: a position motion
+        self._keeps: bool | None = None  # its trigger; None: not known
+        self._is_triggered = False  # by us, since its power-on
 
     @property
     def is_referenced(self) -> bool:
@@ -103,13 +112,9 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
                 f"{self.label}: its electronic gear A = {a} (0380h), B = {b} (0382h) gives no"
                 f" scale; expected 1 to {_GEAR_MAX}; set both in the drive"
             )
-        if self._is_enabled and self._asked_at[1] != standing[1]:
-            self._is_enabled = self._remembers()
+        if self.registers.read_i32(_TRIGGER):
+            self._keeps = True
         return 1000.0 * b / a
-
-    def _remembers(self) -> bool:
-        """Return whether the drive was enabled since its power-on, which clears its inputs."""
-        return bool(self.registers.read_i32(_INPUTS) & _M0)
 
     # --- status ----------------------------------------------------------------------------------
 
@@ -120,7 +125,7 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         places = registers.read_i32, _POSITION, _DEMAND
         position, demand, time_ns = self._read_positions(*places)
         speed = registers.read_i32(_SPEED)
-        outputs = registers.read_i32(_OUTPUTS)
+        outputs = self._read_outputs()
         if self._is_old(time_ns):
             position, demand, time_ns = self._read_positions(*places)
         fault = self._fault(bool(outputs & _IS_ALARM), _ALARMS)
@@ -138,6 +143,19 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
             at_velocity=hz is not None and self._is_at(speed, hz),
         )
         return self._poll_of(told, model)
+
+    def _read_outputs(self) -> int:
+        """Read the outputs, with the inputs: they tell of a restart in between two polls."""
+        was_enabled = self._is_enabled
+        _, inputs, *outputs = self.registers.read(_INPUTS, 4)
+        if was_enabled and not self._remembers(inputs):
+            self._is_enabled = self._is_triggered = False
+            self._asked_at = (-1, 0)  # its power-on values count
+        return as_i32(*outputs)
+
+    def _remembers(self, inputs: int) -> bool:
+        """Return whether the drive was enabled since its power-on, which clears its inputs."""
+        return bool(inputs & _M0)
 
     def _is_at(self, speed: int, hz: int) -> bool:
         """Return whether the speed is `hz`, for low speeds by their demand."""
@@ -192,22 +210,30 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
         self._current = _FULL_CURRENT if per_mille is None else per_mille
 
     def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
-        """Prepare the block; nothing is sent yet."""
+        """Prepare the block, and clear the trigger of a drive that keeps it."""
         counts, speed, faster, slower = numbers
         check_register(self.label, "acceleration", max(faster, slower), _RATE_MAX, "Hz/s")
         check_register(self.label, "velocity", abs(speed), _SPEED_MAX, "Hz")
         kind, target, self._hz = _CONTINUOUS, 0, speed
         if counts is not None:
             kind, target, self._hz = _ABSOLUTE, self._target(counts, "steps"), None
-        self._prepared = words(0, kind, target, speed, faster, slower, self._current, 1)
+        self._prepared = words(0, kind, target, speed, faster, slower, self._current, _ALL)
         self._deceleration = slower
+        if self._keeps is None and self._is_triggered:
+            self._keeps = bool(self.registers.read_i32(_TRIGGER))
+        if self._keeps:
+            self.registers.write(_TRIGGER, *words(0))
 
     def trigger(self) -> None:
         """Send the prepared motion, and start it by the same request."""
+        self._is_triggered = True  # even if its answer is lost
         self.registers.write(_BLOCK, *self._prepared, starts=True)
 
     def _post_stop(self) -> ModbusExchange:
         self._hz = None
         slower = self._deceleration
-        block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, 1)
+        keeps = self._is_triggered if self._keeps is None else self._keeps
+        trigger = _TYPE_ALONE if keeps else _ALL
+        self._is_triggered = True
+        block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, trigger)
         return self.registers.post(_BLOCK, *block)

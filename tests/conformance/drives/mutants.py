@@ -1268,10 +1268,11 @@ def all_hosts_have_the_first_ones_time(patch):
     """All entries of 1016h have the time of the first one."""
 
     def make(good):
-        def configure(self):
-            lost = good(self)
-            for watch in self._watches:
-                watch.period_ns = self._watches[0].period_ns
+        def configure(self, written=None):
+            lost = good(self, written)
+            watches = [*self._watches.values()]
+            for watch in watches:
+                watch.period_ns = watches[0].period_ns
             return lost
 
         return configure

@@ -84,8 +84,6 @@ NOT_STATED = {
     "vesc voltage_max_v": "needs a DC link",
     "vesc temperature_max_c": "needs a thermal model",
     "dynamixel model": "the adaptation knows one",
-    "dynamixel mode": "with velocities it holds no place, as STATE-02 asks of a motor",
-    "oriental_az trigger_auto_clear": "the adaptation needs it, as in a new drive",
     "software counter": "of nodes with CiA 406, by their file",
     "cia401 channel": "another spelling of channels",
     "cia401 objects": "the power-on values of a file",

@@ -164,7 +164,7 @@ def state_of_before_the_loss():
 @mutant("oriental_az", "LOST-05")
 def a_loss_is_taken_for_a_restart():
     """After a loss, a drive that kept its power is reported as disabled."""
-    with replaced(OrientalAzHwMotor, "_remembers", lambda _: lambda hardware: False):
+    with replaced(OrientalAzHwMotor, "_remembers", lambda _: lambda hardware, inputs: False):
         yield
 
 
@@ -173,7 +173,9 @@ def only_a_motion_proves_the_power():
     """After a loss, a drive that was enabled, but never moved, is reported as disabled."""
 
     def wrong(remembers):
-        return lambda hardware: hardware.progress.started_ns is not None and remembers(hardware)
+        return lambda hardware, inputs: (
+            hardware.progress.started_ns is not None and remembers(hardware, inputs)
+        )
 
     with replaced(OrientalAzHwMotor, "_remembers", wrong):
         yield

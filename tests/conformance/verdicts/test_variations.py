@@ -108,6 +108,14 @@ def test_unknown_variation_is_wrong_usage(capfd):
     assert "did you mean reversing gear?" in capfd.readouterr().err
 
 
+def test_variation_that_claims_less_is_not_accused(capfd):
+    words = ["conform", "--adaptation", "dynamixel", "--clause", "STATE-02", "--clause", "UNIT-01"]
+    assert main([*words, "--benches", "servo in velocity mode"]) == 0
+    out = capfd.readouterr().out
+    assert "UNIT-01   not applicable" in out
+    assert "STATE-02  passed" in out
+
+
 def test_failure_repeats_on_its_bench(capfd, tmp_path, monkeypatch):
     monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
     (tmp_path / "harm").write_text("has_a_bug")

@@ -135,6 +135,26 @@ def test_lost_node_removed_from_1016h_is_repaired():
     assert bench.od.integer(0x1001, 0, 1) == 0
 
 
+def test_1016h_write_leaves_other_entries_as_they_are():
+    bench = Bench().boot()
+    assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
+    assert bench.download(0x1016, 2, 0x0006_00C8, 4) == ""
+    bench.tell(0x705, b"\x05")
+    bench.wait(150 * MS)
+    bench.tell(0x706, b"\x05")
+    assert bench.download(0x1016, 2, 0x0006_00C8, 4) == ""  # not heard since
+    assert bench.od.integer(0x1001, 0, 0) == 0x11  # node 5 is still lost
+    bench.wait(300 * MS)
+    lost = [call for call in bench.host.calls if call[0] == "lost"]
+    assert [node_id for _, node_id, _ in lost] == [5]
+    bench.tell(0x706, b"\x05")
+    start = bench.now_ns
+    assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""
+    assert bench.od.integer(0x1001, 0, 1) == 0
+    bench.wait(300 * MS)
+    assert bench.host.calls[-1] == ("lost", 6, start + 200 * MS)
+
+
 def test_reset_clears_watched_nodes():
     bench = Bench().boot()
     assert bench.download(0x1016, 1, 0x0005_0064, 4) == ""

@@ -104,6 +104,26 @@ def test_drive_after_power_loss_is_not_enabled(rig, has_moved):
     assert mast.state() is MotorState.ENABLED
 
 
+@pytest.mark.parametrize("adaptation", ["oriental_az"])
+@pytest.mark.parametrize("has_moved", [True, False])
+def test_power_loss_without_a_request_is_noticed(rig, adaptation, has_moved):
+    mast = rig.motors["mast"]
+    mast.enable()
+    with mast.low_level() as hardware:
+        address, values = COARSER[adaptation]
+        hardware.registers.write(address, *values)
+    if has_moved:
+        go_to(mast, 0.1)
+    drive = rig.controllers["mast"]
+    drive.stimulate("power", 0)
+    drive.stimulate("power", 1)
+    run_s(rig, 2.0)
+    assert mast.state() is MotorState.DISABLED
+    before, here = truth(rig)["position_rad"], mast.position()
+    go_to(mast, here + 0.2)
+    assert truth(rig)["position_rad"] - before == pytest.approx(0.2, abs=RESOLUTION)
+
+
 def test_drive_after_a_lost_answer_is_still_enabled(rig):
     mast = rig.motors["mast"]
     go_to(mast, 0.1)
@@ -135,3 +155,29 @@ def test_stop_ramp_is_written_again_after_power_loss(rig):
     assert mast.hardware.registers.read(QUICK_RAMP) != told
     go_to(mast, 0.2)
     assert mast.hardware.registers.read(QUICK_RAMP) == told
+
+
+@pytest.mark.parametrize("stops_first", [False, True])
+@pytest.mark.parametrize("clears", ["true", "false"])
+def test_az_drive_that_keeps_its_trigger_starts_and_stops(clears, stops_first):
+    kind = 'kind = "oriental_az"\n'
+    rig_text = text("oriental_az").replace(kind, f"{kind}trigger_auto_clear = {clears}\n")
+    assert "trigger_auto_clear" in rig_text
+    with opened(rig_text) as rig:
+        mast = rig.motors["mast"]
+        mast.enable()
+        if stops_first:
+            mast.stop()
+            mast.wait_until_done(1)
+        for target in (0.1, 0.2, 0.3):
+            go_to(mast, target)
+            assert truth(rig)["position_rad"] == pytest.approx(target, abs=RESOLUTION)
+        for target in (2.0, 5.0):  # the second replaces the first in motion
+            mast.set_setpoint(target)
+            mast.start()
+            run_s(rig, 0.3)
+        before = truth(rig)["position_rad"]
+        mast.stop()
+        mast.wait_until_done(2)
+        assert truth(rig)["position_rad"] - before < 0.6  # 2 rad/s, ended by 4 rad/s^2: 0.5 rad
+        go_to(mast, 0.0)

@@ -193,3 +193,25 @@ def test_lost_sync_of_an_oscillating_drive_is_noticed(open_rig: Callable[..., Ri
     with pytest.raises(LinkError, match="stands still while its set-points move"):
         motor.wait_until_done(timeout_s=5)
     assert rig.runtime.now_ns() - now_ns <= 400 * MS
+
+
+@pytest.mark.parametrize(("pause_s", "is_lost"), [(0.002, True), (0.6, False)])
+def test_lost_sync_is_noticed_by_status_that_is_polled(
+    open_rig: Callable[..., Rig], pause_s: float, is_lost: bool
+):
+    """A position that was read long ago does not accuse a drive that follows."""
+    rig = open_rig(drive("left", 2, motor="status_period_ms = 0"))
+    motor = set_function(motor_of(rig), quintic(3.0, 3.0))
+    motor.start()
+    rig.runtime.run_for(0.5)
+    motor.position()
+    rig.runtime.run_for(pause_s)
+    if is_lost:
+        now_ns = rig.runtime.now_ns()
+        lost = FaultRule("deaf", FaultKind.DROP, identifier=0x080, ports=("left",), from_ns=now_ns)
+        rig.faults.inject("can0", lost)
+        with pytest.raises(LinkError, match="stands still while its set-points move"):
+            motor.wait_until_done(timeout_s=5)
+        assert rig.runtime.now_ns() - now_ns <= 400 * MS
+    else:
+        motor.wait_until_done(timeout_s=5)
