@@ -250,7 +250,7 @@ def instead(value):
         ("rmd", 1, RmdHwMotor, "_on_answer", of_any_command, "position"),
         ("vesc", 3, vesc, "_VERSION_BYTES", instead(0), "index out of range"),
         ("vesc", 3, VescHwMotor, "_on_answer", of_any_node, "fault Nh"),
-        ("vesc", 3, VescHwMotor, "_on_status", of_any_length, "latest velocity"),
+        ("vesc", 5, VescHwMotor, "_on_status", of_any_length, "latest velocity"),
         ("dynamixel", 53, packets, "_status_in", with_any_crc, "position"),
         ("dynamixel", 36, DynamixelCodec, "answers", instead(lambda *_: True), "IndexError"),
         ("dryve", 277, DryveCodec, "answers", of_one_header, "another header"),
