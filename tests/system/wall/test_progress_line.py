@@ -9,7 +9,7 @@ import sys
 import pytest
 
 pytestmark = pytest.mark.wall
-ROWS = 400_000
+ROWS = 1_200_000
 
 
 @pytest.fixture
