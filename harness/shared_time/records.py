@@ -111,12 +111,12 @@ class WaitFlags(IntFlag):
 
 @final
 class PortFlags(IntFlag):
-    """What a program does with the frames of a port."""
+    """Uses that a program makes of the frames of a port."""
 
     QUIET = 1
-    """It keeps them until one of its parties looks for them."""
+    """The program keeps them until one of its parties looks for them."""
     OTHERS = 2
-    """It has no use for those that it has sent itself."""
+    """The program has no use for those that it has sent itself."""
 
 
 @final

@@ -1,13 +1,16 @@
 """Language of README.md and docs: short sentences in the usual order of words.
 
-Checked is running text. Tables, code and generated pages are left out.
+Checked is running text. Tables, code and generated pages are left out. Of docstrings, those of
+attributes included, only the first word is checked.
 """
 
+import ast
 import re
 
 import pytest
 
 from tests.architecture.pages import PAGES, name_of
+from tests.support.checkout import CHECKOUT, PACKAGES
 
 WORDS_MAX = 20
 GENERATED = tuple(f"docs/reference/{n}.md" for n in ("api-names", "clauses", "drive-clauses"))
@@ -64,3 +67,38 @@ def test_a_sentence_that_breaks_a_rule_is_found(text):
 def test_tables_code_and_links_are_not_sentences():
     text = "| It | is told |\n\n```text\nIt is told\n```\n\n`It`: [a b](c.md#it-is) fine.\n"
     assert complaints(text) == []
+
+
+def odd_docstrings(name, text):
+    """Return the docstrings that open with a word of OPENINGS."""
+    strings = [
+        node.value
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    ]
+    return [
+        f"{name}:{one.lineno}: {one.value.splitlines()[0]}"
+        for one in strings
+        if isinstance(one.value, str) and one.value.split(maxsplit=1)[:1] in ([w] for w in OPENINGS)
+    ]
+
+
+def test_docstrings_open_plainly():
+    found = []
+    for package in (*PACKAGES, "tests"):
+        for path in sorted((CHECKOUT / package).rglob("*.py")):
+            found += odd_docstrings(path.relative_to(CHECKOUT).as_posix(), path.read_text())
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '"""What it is."""',
+        'def f():\n    """It does."""',
+        'class A:\n    b = 1\n    """Of it.\n\n    More.\n    """',
+    ],
+)
+def test_docstring_that_opens_oddly_is_found(text):
+    assert len(odd_docstrings("m.py", text)) == 1
+    assert odd_docstrings("m.py", 'x = "It is data"\ndef f():\n    """Item of a list."""') == []

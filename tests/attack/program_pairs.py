@@ -176,7 +176,7 @@ def pair_of(seed: str) -> Pair:
 @final
 @dataclass
 class Run:
-    """What came of a run.
+    """The outcome of a run.
 
     Attributes:
         record: the recording.

@@ -118,7 +118,7 @@ LOG = """\
 
 @needs_can_utils
 def test_canplayer_repeats_gaps_of_its_log_twice_the_same(twice, tmp_path):
-    """It looks each millisecond at what is due; the drive boots for 0.3 s."""
+    """Check a player that looks each millisecond at what is due; the drive boots for 0.3 s."""
     (tmp_path / "log.txt").write_text(LOG)
     lines = twice(
         DRIVE,
