@@ -281,8 +281,8 @@ class Participant:
             raise RecordError(f"bus {bus!r} cannot be opened; {len(self._ports)} ports are open")
         number = self._free_port()
         hear, told = (partial(self._hear, kind, number) for kind in (records.HEARD, records.TOLD))
+        self._flags[number] = 0
         if bus in world.line_names():
-            self._flags[number] = 0
             connection = world.add_line_host(bus, "host", hear)
             self._limits[number] = SendLimit(connection, bus, "characters")
             self._opened(number, bus, connection)
@@ -292,7 +292,6 @@ class Participant:
             if len(frame) == FRAME_BYTES:
                 hear(frame, time_ns, transmitted)
 
-        self._flags[number] = 0
         port = world.add_host(bus, "host", hear if fd else hear_classical, told)
         self._limits[number] = SendLimit(port, bus)
         self._opened(number, bus, port)

@@ -129,7 +129,8 @@ class Result(IntEnum):
     INTERRUPTED = 3
 
 
-_LENGTH: Final = struct.Struct("<H")
+LENGTH: Final = struct.Struct("<H")
+"""Length of a record in a BATCH."""
 _BATCH: Final = bytes([BATCH])
 
 LengthError: Final = struct.error
@@ -147,7 +148,7 @@ def batch(several: Sequence[bytes]) -> bytes:
         return several[0]
     parts = [_BATCH]
     for record in several:
-        parts += (_LENGTH.pack(len(record)), record)
+        parts += (LENGTH.pack(len(record)), record)
     return b"".join(parts)
 
 
@@ -162,7 +163,7 @@ def split(message: bytes) -> Iterator[bytes]:
         return
     at, end = 1, len(message)
     while at < end:
-        size = _LENGTH.unpack_from(message, at)[0] if at + 2 <= end else 0
+        size = LENGTH.unpack_from(message, at)[0] if at + 2 <= end else 0
         if size == 0 or at + 2 + size > end:
             raise RecordError(f"batch of {end} bytes, record at {at}: {size} bytes long")
         yield message[at + 2 : at + 2 + size]

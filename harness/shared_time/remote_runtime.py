@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _PARTIES: Final = int(WaitFlags.PARTIES | WaitFlags.DEAF)
 _PROCESSES: Final = int(WaitFlags.PROCESSES)
 _DEAF: Final = int(WaitFlags.DEAF)
+_HELD_MAX: Final = 16_384  # bytes of records that are held
 _TAKEN: Final = bytes([records.TAKEN])
 GONE: Final = "the rig has ended, and with it the time of this program"
 
@@ -39,23 +40,36 @@ class RemoteLink:
         self.is_open: bool = True
         self._connection: Final[socket.socket] = connection
         self._held: list[bytes] = []
+        self._held_bytes = 0
         self._unread: list[bytes] = []  # the oldest last
         # Bound before the program's own waits for sockets are refused.
         self._send: Final[Callable[[bytes], int]] = connection.send
         self._receive: Final[Callable[[int], bytes]] = connection.recv
 
     def hold(self, record: bytes) -> None:
-        """Send a record together with the next one."""
+        """Send a record together with the next one, unless there are many."""
+        if self._held_bytes + len(record) > _HELD_MAX:
+            self._send_held()
         self._held.append(record)
+        self._held_bytes += len(record) + records.LENGTH.size
 
     def send(self, record: bytes) -> None:
         """Send a record, after those that are held; raise UsageError if the rig has ended."""
+        if self._held_bytes + len(record) > _HELD_MAX:
+            self._send_held()
+        held, self._held, self._held_bytes = self._held, [], 0
+        self._send_message(records.batch([*held, record]))
+
+    def _send_held(self) -> None:
+        held, self._held, self._held_bytes = self._held, [], 0
+        if held:
+            self._send_message(records.batch(held))
+
+    def _send_message(self, message: bytes) -> None:
         if not self.is_open:
             raise UsageError(GONE)
-        if self._held:
-            record, self._held = records.batch([*self._held, record]), []
         try:
-            self._send(record)
+            self._send(message)
         except OSError:
             self.is_open = False
             raise UsageError(GONE) from None

@@ -118,7 +118,6 @@ void send_record(const void *record, size_t size);
 size_t receive_record(uint8_t *record, size_t size);
 void name_party(uint16_t party);
 void begin_wait(struct wait *wait, int64_t deadline_ns, int flags);
-void end_wait(struct wait *wait);
 void await_baton(struct thread *thread);
 void hand_on(void);
 enum result wait_turn(condition *holds, void *subject, int64_t deadline_ns, int flags);

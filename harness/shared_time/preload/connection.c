@@ -30,8 +30,7 @@ enum {
     RECORD_JOIN,
     RECORD_PARTY = 23,
     RECORD_WAIT,
-    RECORD_WITHDRAW,
-    RECORD_IDLE,
+    RECORD_IDLE = 26,
     RECORD_LEAVE,
     RECORD_TAKEN = 30
 };
@@ -166,11 +165,13 @@ void hold_record(const void *record, size_t size)
 
 void send_record(const void *record, size_t size)
 {
-    if (held.size) {
+    if (held.size && held.size + sizeof(uint16_t) + size <= sizeof held.batch) {
         hold_record(record, size);
         send_held();
-    } else
-        send_message(record, size);
+        return;
+    }
+    send_held();
+    send_message(record, size);
 }
 
 size_t receive_record(uint8_t *record, size_t size)
@@ -386,14 +387,6 @@ static struct wait *take_wait(uint32_t number)
             return found;
         }
     return NULL;
-}
-
-/* Withdraw a wait that gets no turn. */
-void end_wait(struct wait *wait)
-{
-    struct counted record = {RECORD_WITHDRAW, wait->number};
-    take_wait(wait->number);
-    hold_record(&record, sizeof record);
 }
 
 /* Return whether another thread of the program has ended the wait of this one. */

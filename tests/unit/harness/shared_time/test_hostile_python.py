@@ -145,7 +145,10 @@ def work():
 threading.Thread(target=work).start()
 """
 MANY_THREADS = """
-threads = [threading.Thread(target=time.sleep, args=(1 + n / 200,)) for n in range(200)]
+name = "n" * 350  # all begin in one turn, and the rig is told each name
+threads = [
+    threading.Thread(target=time.sleep, args=(1 + n / 200,), name=f"{n} {name}") for n in range(200)
+]
 for one in threads: one.start()
 for one in threads: one.join()
 tell("all")
