@@ -94,8 +94,13 @@ static void resolve(struct line *line)
     if (inet_pton(AF_INET, usual(host), address) > 0 ||
         inet_pton(AF_INET6, usual(host), address) > 0)
         snprintf(line->host, sizeof line->host, "%.63s", usual(host));
-    else
-        snprintf(line->host, sizeof line->host, "127.77.0.%d", (int)(line - lines) + 1);
+    else {
+        struct line *first = lines; /* of this name: its ports have one address */
+        size_t size = strlen(host);
+        while (first < line && (strncmp(first->address, host, size) || first->address[size] != ':'))
+            first++;
+        snprintf(line->host, sizeof line->host, "127.77.0.%d", (int)(first - lines) + 1);
+    }
 }
 
 static void read_lines(void)
@@ -266,6 +271,18 @@ static int port_of(const struct sockaddr *address, socklen_t size, char *host, s
     return ntohs(address->sa_family == AF_INET ? v4->sin_port : v6->sin6_port);
 }
 
+/* Give the socket of a line the timeouts that the program has set before it connects. */
+static void keep_timeouts(int fd, int own)
+{
+    static const int options[] = {SO_RCVTIMEO, SO_SNDTIMEO};
+    for (size_t i = 0; i < sizeof options / sizeof *options; i++) {
+        struct timeval timeout;
+        socklen_t size = sizeof timeout;
+        if (!REAL(getsockopt)(fd, SOL_SOCKET, options[i], &timeout, &size))
+            REAL(setsockopt)(own, SOL_SOCKET, options[i], &timeout, size);
+    }
+}
+
 /* Connect a TCP socket to the line at this address. Return false where there is none. */
 bool connect_line(int fd, const struct sockaddr *address, socklen_t size, int *result)
 {
@@ -294,8 +311,10 @@ bool connect_line(int fd, const struct sockaddr *address, socklen_t size, int *r
     int modes = REAL(fcntl)(fd, F_GETFL), is_kept = REAL(fcntl)(fd, F_GETFD) & FD_CLOEXEC;
     int own = open_end(line, &end);
     if (own < 0) return true;
-    if (REAL(dup3)(own, fd, is_kept ? O_CLOEXEC : 0) < 0) return true;
+    keep_timeouts(fd, own);
+    int copied = REAL(dup3)(own, fd, is_kept ? O_CLOEXEC : 0);
     REAL(close)(own);
+    if (copied < 0) return true;
     REAL(fcntl)(fd, F_SETFL, modes & O_NONBLOCK);
     rejoin_sets(fd);
     keep(fd, &end->descriptor);

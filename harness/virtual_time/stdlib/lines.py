@@ -31,7 +31,7 @@ from motorhil.motorapi.errors import LinkError
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualRuntime
 
-_PIECE: Final = 65_536
+_PIECE: Final = 4_096
 _UNREAD_MAX: Final = 65_536
 _MODBUS_PORT: Final = 502
 _LOCAL: Final = "127.0.0.1"
@@ -272,7 +272,7 @@ class LinePorts:
         self._ports: dict[str, Line] = {}
         self._names: dict[str, str] = {}  # addresses of hosts by name
         self._silences_ns: dict[str, int] = {}
-        self._ends: dict[int, _End] = {}  # by the number of the program's end in the kernel
+        self._ends: dict[tuple[int, int], _End] = {}  # by the place of the program's end
         for bus in self._buses.values():
             if _is_port(bus):
                 self._ports[bus.address] = bus
@@ -315,7 +315,7 @@ class LinePorts:
         own, inner = socket.socketpair()
         inner.setblocking(False)
         own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_LIMIT)
-        self._ends[os.fstat(own.fileno()).st_ino] = _End(
+        self._ends[_place_of(own.fileno())] = _End(
             bus, line, inner, self._runtime, self._silences_ns
         )
         self._runtime.on_yield = self.drain
@@ -326,15 +326,15 @@ class LinePorts:
         if not self._ends:
             return None
         try:
-            return self._ends.get(os.fstat(fd).st_ino)
+            return self._ends.get(_place_of(fd))
         except (OSError, OverflowError):
             return None
 
     def drain(self) -> None:
         """Send all that the program has written, and forget the ends that it has closed."""
-        for number, end in list(self._ends.items()):
+        for place, end in list(self._ends.items()):
             if not end.drain():
-                del self._ends[number]
+                del self._ends[place]
 
     def close(self) -> None:
         """Close all connections."""
@@ -343,6 +343,12 @@ class LinePorts:
         for end in self._ends.values():
             end.close()
         self._ends.clear()
+
+
+def _place_of(fd: int) -> tuple[int, int]:
+    """Return the device and the number of a file in the kernel."""
+    found = os.fstat(fd)
+    return found.st_dev, found.st_ino
 
 
 def _is_port(bus: Line) -> bool:

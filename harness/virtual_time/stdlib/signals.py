@@ -15,7 +15,7 @@ from motorhil.harness.virtual_time.stdlib.threads import caller_is_outside, prog
 
 _signal = signal.signal
 _getsignal = signal.getsignal
-_WRAPPED: Final = "__wrapped__"
+_WRAPPED: Final = "_motorhil_handler"  # the attribute of a postponed one
 
 
 def _postponed(runtime: VirtualRuntime, handler: Callable[..., Any]) -> Callable[..., Any]:

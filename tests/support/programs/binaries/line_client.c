@@ -10,6 +10,7 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -36,6 +37,18 @@ static long now_us(void)
     return now.tv_sec * 1000000 + now.tv_nsec / 1000;
 }
 
+static void limit_reading(int fd)
+{
+    struct timeval limit = {0, 200000};
+    setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+}
+
+static void *rest(void *unused)
+{
+    sleep(1);
+    return unused;
+}
+
 static int connected(const char *host, const char *port, const char *act)
 {
     struct addrinfo hints = {.ai_socktype = SOCK_STREAM}, *found;
@@ -44,6 +57,7 @@ static int connected(const char *host, const char *port, const char *act)
     int fd = socket(found->ai_family, found->ai_socktype | SOCK_CLOEXEC, found->ai_protocol);
     if (!strcmp(act, "epoll")) fcntl(fd, F_SETFL, O_NONBLOCK);
     setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
+    if (!strcmp(act, "limited")) limit_reading(fd);
     if (!strcmp(act, "early")) { /* as event loops that know a socket before it is connected */
         struct epoll_event event = {.events = EPOLLIN | EPOLLET};
         fcntl(fd, F_SETFL, O_NONBLOCK);
@@ -148,6 +162,13 @@ int main(int argc, char **argv)
         printf(", %s\n", strerror(errno));
         return 0;
     }
+    if (!strcmp(act, "thread")) { /* many characters in the turn in which a thread begins */
+        static char zeros[5000];
+        pthread_t thread;
+        if (pthread_create(&thread, NULL, rest, NULL)) return 1;
+        printf("written: %zd\n", write(fd, zeros, sizeof zeros));
+        return pthread_join(thread, NULL);
+    }
     if (!strcmp(act, "flood")) { /* until the rig refuses to queue more */
         static char zeros[65536];
         for (int i = 0; i < 10000; i++)
@@ -175,9 +196,8 @@ int main(int argc, char **argv)
         printf("read: %zd", read(fd, answer, 1));
         printf(" after %ld us\n", now_us() - from_us);
     }
-    if (!strcmp(act, "timeout")) {
-        struct timeval limit = {0, 200000};
-        setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+    if (!strcmp(act, "timeout")) limit_reading(fd);
+    if (!strcmp(act, "timeout") || !strcmp(act, "limited")) {
         from_us = now_us();
         printf("recv: %zd", recv(fd, answer, 1, 0));
         printf(", %d after %ld us\n", errno == EAGAIN, now_us() - from_us);

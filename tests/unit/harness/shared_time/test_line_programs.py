@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from motorhil.harness.rig.rig import Rig
+from motorhil.harness.shared_time import records
+from motorhil.harness.shared_time.participant import Participant
 from motorhil.harness.shared_time.programs import run_programs
 from motorhil.traces.digest import digest
 from tests.support.modbus.rigs import text
@@ -21,6 +23,7 @@ MOVED = {  # as in one process: tests/unit/harness/virtual_time/stdlib/test_line
     "tcp": ["move: 0.1021 s: 4940", "move: 0.2042 s: 5000"],
     "rtu": ["move: 0.1070 s: 4990", "move: 0.2140 s: 5000"],
 }
+PLANT = 'address = "plant:'
 VICTIM = """
 import os, sys, time
 from pymodbus.client import ModbusTcpClient
@@ -37,8 +40,8 @@ os.kill(os.getpid(), 9)
 def run(tmp_path):
     """Return a function that runs programs, by name, and returns (output, failures, digest)."""
 
-    def run(line, **commands):
-        rig_text = text(line=line, names=("mast", "head"))
+    def run(line="", rig_text="", **commands):
+        rig_text = rig_text or text(line=line, names=("mast", "head"))
         for name, command in commands.items():
             words = ", ".join(f"'{word}'" for word in command)
             rig_text += f"\n[program.{name}]\ncommand = [{words}]\n"
@@ -49,6 +52,29 @@ def run(tmp_path):
         return lines, wrong, digest(tmp_path / "run.mcap")
 
     return run
+
+
+def sent_bytes(monkeypatch):
+    """Return a list that gets the number of characters in each record of a program."""
+    sent = []
+    submit = Participant._submit
+
+    def counted(participant, record):
+        sent.append(len(record) - records.NUMBERED.size)
+        submit(participant, record)
+
+    monkeypatch.setattr(Participant, "_submit", counted)
+    return sent
+
+
+def test_many_characters_of_a_python_program_arrive(run, tmp_path, monkeypatch):
+    sent = sent_bytes(monkeypatch)
+    (tmp_path / "many.py").write_text(
+        'import os\nfd = os.open("/dev/line", os.O_RDWR)\nprint(os.write(fd, bytes(70_000)))\n'
+    )
+    lines, wrong, _ = run("rtu", many=["python", "many.py"])
+    assert (lines, wrong) == (["many: 70000"], {})
+    assert sum(sent) == 70_000
 
 
 def python(name, line):
@@ -106,10 +132,14 @@ def time_of(line):
 @needs_compiler
 @pytest.mark.parametrize("line", ["tcp", "rtu"])
 @pytest.mark.parametrize(
-    "act", ["block", "poll", "select", "epoll", "timeout", "vtime", "drain", "reopen", "early"]
+    "act",
+    [
+        *("block", "poll", "select", "epoll", "timeout", "limited", "vtime", "drain", "reopen"),
+        "early",
+    ],
 )
 def test_plain_c_client_has_answer_of_drive_after_its_times(run, tmp_path, line, act):
-    if act in {"tcp": ("vtime", "drain"), "rtu": ("timeout", "early")}[line]:
+    if act in {"tcp": ("vtime", "drain"), "rtu": ("timeout", "limited", "early")}[line]:
         pytest.skip("of the other kind of line")
     lines, wrong, _ = run(line, a=[compiled("line_client", tmp_path), act, *WHERE[line]])
     assert wrong == {}, lines
@@ -124,7 +154,7 @@ def test_plain_c_client_has_answer_of_drive_after_its_times(run, tmp_path, line,
     if act == "vtime":  # 0.2 s
         assert lines[1].startswith("a: read: 0 after")
         assert 200_000 <= time_of(lines[1]) < 200_010
-    if act == "timeout":
+    if act in ("timeout", "limited"):
         assert lines[1].startswith("a: recv: -1, 1 after")
         assert 200_000 <= time_of(lines[1]) < 200_010
 
@@ -163,6 +193,26 @@ def test_hostile_c_client_is_told_by_name(run, tmp_path, act, line, where, end, 
     assert wrong == ({} if end is None else {"a": end}), lines
     for part in told:
         assert any(part in one for one in lines), lines
+
+
+@needs_compiler
+def test_characters_in_the_turn_of_a_new_thread_arrive(run, tmp_path, monkeypatch):
+    sent = sent_bytes(monkeypatch)
+    lines, wrong, _ = run("rtu", a=[compiled("line_client", tmp_path), "thread", *WHERE["rtu"]])
+    assert wrong == {}, lines
+    assert lines == ["a: written: 5000"]
+    assert sum(sent) == 5000
+
+
+@needs_compiler
+@pytest.mark.parametrize("port", ["502", "503"])
+def test_gateways_of_one_host_have_a_port_each(run, tmp_path, port):
+    program = compiled("line_client", tmp_path)
+    rig_text = text(line="tcp").replace("[bus.line]", f'[bus.line]\n{PLANT}{port}"')
+    other = f'[bus.other]\nkind = "modbus_tcp"\n{PLANT}{1005 - int(port)}"\n'
+    lines, wrong, _ = run(rig_text=other + rig_text, a=[program, "block", "tcp", "plant", port])
+    assert wrong == {}, lines
+    assert lines[0].startswith(f"a: {ANSWER['tcp']}")
 
 
 @needs_compiler

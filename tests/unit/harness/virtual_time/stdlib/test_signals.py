@@ -1,8 +1,11 @@
 import signal
 import threading
 import time
+from functools import wraps
 
 import pytest
+
+from motorhil.harness.virtual_time.stdlib import signals
 
 
 @pytest.fixture(autouse=True)
@@ -102,3 +105,18 @@ def test_handler_is_returned_as_it_was_set(now_s):
     assert signal.getsignal(signal.SIGUSR1) is handle
     assert signal.signal(signal.SIGUSR1, signal.SIG_IGN) is handle
     assert signal.getsignal(signal.SIGUSR1) is signal.SIG_IGN
+
+
+def test_decorated_handler_of_others_is_told_as_it_is():
+    """Check functools.wraps, which leaves the decorated function as an attribute."""
+
+    @wraps(print)
+    def handle(*_):
+        pass
+
+    before = signal.signal(signal.SIGUSR1, handle)
+    try:
+        assert signals.handler_of(signal.SIGUSR1) is handle
+        assert signals.set_handler(signal.SIGUSR1, handle) is handle
+    finally:
+        signal.signal(signal.SIGUSR1, before)
