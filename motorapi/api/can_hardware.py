@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import can
 
     from motorhil.motorapi.runtime.api import Runtime
-    from motorhil.motorapi.synchronization.offer import SyncOffer
 
 _ASK_S: Final = 0.05
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -183,12 +182,6 @@ class StreamedCanHardware(CanHardware[OptionsT]):
     @abstractmethod
     def is_on(self) -> bool:
         """True if the motor has current, as far as known."""
-
-    def start_offer(self) -> "SyncOffer":
-        """Return the offer of a start by the first set-point."""
-        offer = self.drive.own_offer()
-        assert offer is not None  # declared by `_begin`
-        return offer
 
     def see_fault(self, code: int, text: str, time_ns: int) -> None:
         """Note the fault that the drive reports, 0 for none; a new one ends the motion."""

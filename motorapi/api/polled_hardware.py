@@ -395,9 +395,9 @@ class PolledHardware(ABC, Generic[UnitT]):
         self._prepare(self._numbers(motion, model), model)
         self._stop = None
 
+    @abstractmethod
     def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:
-        """Prepare a motion; a kind implements it, or `prepare`."""
-        raise NotImplementedError(f"{type(self).__name__}: has no _prepare")
+        """Write or keep the numbers of the next motion; send no trigger."""
 
     @abstractmethod
     def trigger(self) -> None:

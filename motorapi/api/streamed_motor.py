@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from motorhil.motorapi.ownership.fencing import BoundFence
     from motorhil.motorapi.runtime.can_link import Transmission
     from motorhil.motorapi.state import Fault, Measurement
-    from motorhil.motorapi.synchronization.offer import SyncOffer
     from motorhil.motorapi.synchronization.quality import MotionTimes
     from motorhil.motorapi.trajectory import Trajectory
 
@@ -56,9 +55,6 @@ class StreamedHardware(Protocol):
         self, variable: ControlVariable, value: float, fence: "BoundFence | None"
     ) -> "Transmission":
         """Send a set-point, only while this program owns the motor."""
-
-    def start_offer(self) -> "SyncOffer":
-        """Return the offer of a start by the first set-point."""
 
     def stop_anyway(self) -> object:
         """Stop by one frame, whoever owns the motor."""
@@ -127,9 +123,6 @@ class StreamedMotor(CanMotor[HardwareT]):
         """Return True if a motor that nobody commands need not be stopped."""
         latest = self._latest()
         return latest is None or not latest.velocity
-
-    def _sync_offer(self) -> "SyncOffer":
-        return self.hardware.start_offer()
 
     def _motion_times(self) -> "MotionTimes | None":
         return self.hardware.motions.times()

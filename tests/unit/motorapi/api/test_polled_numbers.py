@@ -121,5 +121,5 @@ def test_kind_without_a_preparation_is_told():
     class Unfinished(Drive):
         _prepare = PolledHardware._prepare
 
-    with pytest.raises(NotImplementedError, match="Unfinished: has no _prepare"):
-        Unfinished().prepare(motion(1.0), model())
+    with pytest.raises(TypeError, match="abstract class Unfinished.* _prepare"):
+        Unfinished()
