@@ -155,7 +155,8 @@ class EmulatedBench(_Bench):
         if "plant" not in self.stated:
             raise NotApplicable("the rig states no plant of the drive")
         values = asdict(plant_of(self.stated["plant"]))
-        return {**values, **values.pop("extras")}
+        extras = values.pop("extras")
+        return {**values, **extras}
 
     def truth(self, name: str) -> float:
         """Return a true value of the motor."""

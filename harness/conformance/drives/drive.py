@@ -492,11 +492,21 @@ class Drive:
             "another ramp is used, or none",
         )
 
-    # --- EMCY ---------------------------------------------------------------------------------
+    # --- EMCY and error control ---------------------------------------------------------------
+
+    @property
+    def error_control_id(self) -> int:
+        """The identifier of boot-up, heartbeat and node guarding."""
+        return 0x700 + self.node_id
 
     def emergencies(self, since_ns: int) -> list[Frame]:
         """Return the EMCY frames of the drive, complete after `since_ns`."""
         return self.client.heard(0x80 + self.node_id, since_ns)
+
+    def count_emergencies(self, code: int, since_ns: int) -> int:
+        """Return how many EMCYs had this error code, complete after `since_ns`."""
+        wanted = code.to_bytes(2, "little")
+        return sum(one.data[:2] == wanted for one in self.emergencies(since_ns))
 
     def await_emergency(
         self, code: int, since_ns: int, what: str, within_s: float = STATE_S

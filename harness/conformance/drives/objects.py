@@ -5,6 +5,7 @@ This table is the kit's own reading of the standards. It shares nothing with the
 
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from struct import calcsize
 from typing import Final, final
 
 
@@ -17,6 +18,11 @@ class Entry:
     subindex: int
     code: str
     name: str
+
+    @property
+    def mapped(self) -> int:
+        """The value that maps it to a PDO."""
+        return self.index << 16 | self.subindex << 8 | 8 * calcsize(self.code)
 
     def __str__(self) -> str:
         sub = f":{self.subindex:02X}" if self.subindex else ""

@@ -1,6 +1,5 @@
 """Mapping of process data: the procedure, what is refused, dummy entries."""
 
-import struct
 from collections.abc import Sequence
 from typing import Final
 
@@ -22,10 +21,6 @@ _NOT_MAPPABLE: Final = 0x0604_0041
 _TOO_LONG: Final = 0x0604_0042
 _VALUE: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0604_0043, 0x0800_0000, _UNSUPPORTED)
 _DUMMY_BYTE: Final = 0x0005_0008
-
-
-def _entry(one: Entry) -> int:
-    return one.index << 16 | one.subindex << 8 | 8 * struct.calcsize(one.code)
 
 
 def _refused(drive: Drive, entry: Entry, value: int, codes: Sequence[int], why: str) -> None:
@@ -50,26 +45,26 @@ def mapping_procedure(bench: DriveBench) -> None:
         cob_id = drive.read(parameter)
         _refused(drive, parameter, cob_id ^ 1, _VALUE, "while it is valid")
         _refused(drive, count, 0, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
-        _refused(drive, entry, _entry(mapped), (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
+        _refused(drive, entry, mapped.mapped, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
         for wrong in (241, 251):
             _refused(drive, kind, wrong, _VALUE, "a reserved type")
         if first == 0x1400:
             _refused(drive, kind, 252, _VALUE, "a type of TPDOs")
         drive.write(parameter, cob_id | _INVALID)
-        _refused(drive, entry, _entry(mapped), (_UNSUPPORTED, *_VALUE), "with a mapping")
+        _refused(drive, entry, mapped.mapped, (_UNSUPPORTED, *_VALUE), "with a mapping")
         drive.write(count, 0)
         _refused(drive, entry, 0x5FFF_0008, _ABSENT, "an absent object")
         own = Entry(0x1018, 1, "I", "vendor-ID")
-        _refused(drive, entry, _entry(own), (_NOT_MAPPABLE,), "an object that is not for PDOs")
-        wrong = _entry(mapped) ^ 0x18  # 8 bits of 16
+        _refused(drive, entry, own.mapped, (_NOT_MAPPABLE,), "an object that is not for PDOs")
+        wrong = mapped.mapped ^ 0x18  # 8 bits of 16
         _refused(drive, entry, wrong, (_NOT_MAPPABLE,), "with another length")
         if first == 0x1800:
             _refused(drive, entry, _DUMMY_BYTE, _ABSENT, "a dummy, which only RPDOs have")
-        drive.write(entry, _entry(mapped))
+        drive.write(entry, mapped.mapped)
         wide = od.TARGET_POSITION if first == 0x1400 else od.POSITION
         if drive.find(wide) is not None:
             for place in (2, 3):
-                drive.set(Entry(first + 0x200, place, "I", "mapped object"), _entry(wide))
+                drive.set(Entry(first + 0x200, place, "I", "mapped object"), wide.mapped)
             _refused(drive, count, 3, (_TOO_LONG,), "80 bits of 64")
         drive.write(count, 1)
         drive.write(parameter, cob_id)
@@ -88,7 +83,7 @@ def dummy_entries(bench: DriveBench) -> None:
     for dummies in ((_DUMMY_BYTE,), (0x0007_0020,), (0x0002_0008, 0x0006_0010)):
         drive.write(parameter, cob_id | _INVALID)
         drive.write(count, 0)
-        entries = (*dummies, _entry(od.CONTROLWORD))
+        entries = (*dummies, od.CONTROLWORD.mapped)
         for place, entry in enumerate(entries, first.subindex):
             drive.set(Entry(0x1600, place, "I", "mapped object"), entry)
         drive.write(count, len(entries))

@@ -20,10 +20,6 @@ _HOST: Final = 0x7C  # a node-ID that no other node of a bench uses
 _CONSUMER_MS: Final = 200
 
 
-def _heartbeat_id(drive: Drive) -> int:
-    return 0x700 + drive.node_id
-
-
 @drive_clause("NMT-01", Level.L0, source="CiA 301, 7.2.8.3.3, boot-up; 7.2.8.3.2.2, node states")
 def boot_up(bench: DriveBench) -> None:
     """After reset node and reset communication the drive sends one boot-up, and answers."""
@@ -33,15 +29,15 @@ def boot_up(bench: DriveBench) -> None:
         drive.client.node.nmt.send_command(command)
 
         def booted(since_ns: int = begin_ns) -> bool:
-            heard = drive.client.heard(_heartbeat_id(drive), since_ns)
+            heard = drive.client.heard(drive.error_control_id, since_ns)
             return any(one.data == b"\0" for one in heard)
 
         drive.client.wait_for(booted, BOOT_S)
-        heard = drive.client.heard(_heartbeat_id(drive), begin_ns)
+        heard = drive.client.heard(drive.error_control_id, begin_ns)
         drive.expect(
             booted() and heard[0].data == b"\0",
             f"NMT {command:02X}h",
-            f"{_heartbeat_id(drive):03X}h [00] within {BOOT_S:g} s",
+            f"{drive.error_control_id:03X}h [00] within {BOOT_S:g} s",
             ", ".join(one.data.hex() for one in heard) or "nothing",
             "no boot-up message",
         )
@@ -51,7 +47,7 @@ def boot_up(bench: DriveBench) -> None:
         if command == RESET_NODE:
             drive.await_state(State.SWITCH_ON_DISABLED, "reset node", expected)
         again = [
-            one for one in drive.client.heard(_heartbeat_id(drive), begin_ns) if one.data == b"\0"
+            one for one in drive.client.heard(drive.error_control_id, begin_ns) if one.data == b"\0"
         ]
         drive.expect(
             len(again) == 1, f"NMT {command:02X}h", "one boot-up message", f"{len(again)} ({word})"
@@ -71,7 +67,7 @@ def nmt_states(bench: DriveBench) -> None:
         drive.quiet(_PERIOD_MS / 1e3)  # a heartbeat may be on its way
         since_ns = drive.now_ns
         drive.quiet(2.0 * _PERIOD_MS / 1e3)
-        heard = drive.client.heard(_heartbeat_id(drive), since_ns)
+        heard = drive.client.heard(drive.error_control_id, since_ns)
         seen = ", ".join(one.data.hex() for one in heard) or "no heartbeat"
         drive.expect(
             bool(heard)
@@ -118,7 +114,7 @@ def heartbeat_period(bench: DriveBench) -> None:
     drive.quiet(_PERIOD_MS / 1e3)
     begin_ns = drive.now_ns
     drive.quiet(10.0 * _PERIOD_MS / 1e3)
-    times = [one.time_ns / 1e6 for one in drive.client.heard(_heartbeat_id(drive), begin_ns)]
+    times = [one.time_ns / 1e6 for one in drive.client.heard(drive.error_control_id, begin_ns)]
     mean_ms = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
     drive.expect(
         0.75 * _PERIOD_MS <= mean_ms <= 1.25 * _PERIOD_MS,
@@ -131,7 +127,7 @@ def heartbeat_period(bench: DriveBench) -> None:
     drive.quiet(_PERIOD_MS / 1e3)
     begin_ns = drive.now_ns
     drive.quiet(3.0 * _PERIOD_MS / 1e3)
-    left = len(drive.client.heard(_heartbeat_id(drive), begin_ns))
+    left = len(drive.client.heard(drive.error_control_id, begin_ns))
     drive.expect(left == 0, "1017h = 0", "no heartbeat", f"{left} in {0.6:g} s")
 
 
@@ -183,7 +179,7 @@ def _expect_error_behaviour(drive: Drive) -> None:
         drive.quiet(2.0 * _CONSUMER_MS / 1e3)
         since_ns = drive.now_ns
         drive.quiet(_CONSUMER_MS / 2e3)
-        heard = drive.client.heard(_heartbeat_id(drive), since_ns)
+        heard = drive.client.heard(drive.error_control_id, since_ns)
         drive.expect(
             bool(heard) and all(one.data[0] & 0x7F == state for one in heard),
             f"1029h:1 = {behaviour}, heartbeat of node {_HOST:02X}h lost in operational",

@@ -20,7 +20,6 @@ _INHIBIT_MS: Final = 50
 _TIMER_MS: Final = 40
 SYNC_S: Final = 0.01
 _JITTER_MS: Final = 1.0
-_BITS: Final = {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32}
 _FSA_WORDS: Final = (od.SHUTDOWN, od.SWITCH_ON, od.SHUTDOWN, od.DISABLE_VOLTAGE)
 
 
@@ -46,8 +45,7 @@ def configure(
     drive.set(parameter, cob_id & 0x3FFF_FFFF | _INVALID)
     drive.set(Entry(mapping, 0, "B", "number of mapped objects"), 0)
     for place, one in enumerate(entries, 1):
-        value = one.index << 16 | one.subindex << 8 | _BITS[one.code]
-        drive.set(Entry(mapping, place, "I", "mapped object"), value)
+        drive.set(Entry(mapping, place, "I", "mapped object"), one.mapped)
     drive.set(Entry(mapping, 0, "B", "number of mapped objects"), len(entries))
     drive.set(Entry(first, 2, "B", "transmission type"), kind)
     for subindex, name, value in ((3, "inhibit time", inhibit), (5, "event timer", timer)):
@@ -73,15 +71,16 @@ def operational(drive: Drive) -> None:
     drive.quiet(0.1)
 
 
-def sync(drive: Drive) -> Frame:
+def sync(drive: Drive, data: bytes = b"") -> Frame:
     """Send SYNC, and wait for one period; return the frame."""
-    frame = drive.client.send(SYNC)
+    frame = drive.client.send(SYNC, data)
     drive.quiet(SYNC_S)
     return frame
 
 
-def _word(drive: Drive, identifier: int, word: int) -> None:
-    drive.client.send(identifier, struct.pack("<H", word))
+def send_word(drive: Drive, identifier: int, word: int, tail: bytes = b"") -> int:
+    """Send a controlword by RPDO; return when it was complete [ns]."""
+    return drive.client.send(identifier, struct.pack("<H", word) + tail).time_ns
 
 
 @drive_clause("PDO-01", Level.L4, source=f"{_TYPES}: RPDO 0 to 240")
@@ -91,7 +90,7 @@ def synchronous_rpdo(bench: DriveBench) -> None:
     identifier = configure(drive, 0x1400, (od.CONTROLWORD,), 1)
     operational(drive)
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
-    _word(drive, identifier, od.SHUTDOWN)
+    send_word(drive, identifier, od.SHUTDOWN)
     drive.quiet()
     seen = drive.state()
     drive.expect(
@@ -111,13 +110,13 @@ def event_driven_rpdo(bench: DriveBench) -> None:
     drive = bench.drive
     identifier = configure(drive, 0x1400, (od.CONTROLWORD,), 255)
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
-    _word(drive, identifier, od.SHUTDOWN)
+    send_word(drive, identifier, od.SHUTDOWN)
     drive.quiet()
     seen = drive.state()
     what = "RPDO in pre-operational"
     drive.expect(seen is State.SWITCH_ON_DISABLED, what, "no effect", f"{seen}", "NMT is ignored")
     operational(drive)
-    _word(drive, identifier, od.SHUTDOWN)
+    send_word(drive, identifier, od.SHUTDOWN)
     drive.await_state(State.READY_TO_SWITCH_ON, "RPDO of type 255", "transition 2")
 
 
@@ -132,7 +131,7 @@ def short_rpdo(bench: DriveBench) -> None:
     operational(drive)
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
     begin_ns = drive.now_ns
-    _word(drive, identifier, od.SHUTDOWN)
+    send_word(drive, identifier, od.SHUTDOWN)
     drive.await_emergency(0x8210, begin_ns, f"RPDO {identifier:03X}h with 2 bytes of more")
     seen = drive.state()
     cause = "the RPDO is processed in spite of its length"

@@ -42,15 +42,6 @@ def _mode(drive: Drive) -> Mode:
     return next((one for one in Mode if drive.has_mode(one)), Mode.PP)
 
 
-def _error_control_id(drive: Drive) -> int:
-    return 0x700 + drive.node_id
-
-
-def _count(drive: Drive, since_ns: int, code: int) -> int:
-    wanted = code.to_bytes(2, "little")
-    return sum(one.data[:2] == wanted for one in drive.emergencies(since_ns))
-
-
 def _without_heartbeat(drive: Drive) -> None:
     """Reset communication, so that no poll was heard yet, and end the heartbeat."""
     drive.client.node.nmt.send_command(RESET_COMMUNICATION)
@@ -62,7 +53,7 @@ def _without_heartbeat(drive: Drive) -> None:
 
 def _guard(drive: Drive) -> int | None:
     """Poll the node by a remote frame; return its answer."""
-    identifier = _error_control_id(drive)
+    identifier = drive.error_control_id
     heard = drive.client.ask(identifier, b"", identifier, remote=True)
     return heard[0].data[0] if heard and heard[0].data else None
 
@@ -81,7 +72,7 @@ def guarded(bench: DriveBench) -> None:
             seen = _guard(drive)
             drive.expect(
                 seen == state | toggle,
-                f"remote frame {_error_control_id(drive):03X}h after NMT {command:02X}h",
+                f"remote frame {drive.error_control_id:03X}h after NMT {command:02X}h",
                 f"{state | toggle:02X}h (NMT state, toggle bit from 0 on)",
                 "nothing" if seen is None else f"{seen:02X}h",
                 "no node guarding, or the toggle bit does not alternate",
@@ -90,7 +81,7 @@ def guarded(bench: DriveBench) -> None:
     drive.write(od.HEARTBEAT_PRODUCER, 1000)
     begin_ns = drive.now_ns
     drive.quiet()
-    identifier = _error_control_id(drive)
+    identifier = drive.error_control_id
     drive.client.ask(identifier, b"", identifier, remote=True)
     heard = drive.client.heard(identifier, begin_ns)
     seen_text = ", ".join(one.data.hex() for one in heard) or "nothing"
@@ -121,7 +112,7 @@ def guard_lost(bench: DriveBench) -> None:
             last_ns = drive.now_ns
             _guard(drive)
             drive.quiet(0.6 * life_ms / 1e3)
-        early = _count(drive, begin_ns, _LOST)
+        early = drive.count_emergencies(_LOST, begin_ns)
         cause = "another time than 100Ch x 100Dh"
         drive.expect(not early, what, "no EMCY 8130h", f"{early}", cause)
         frame = drive.await_emergency(_LOST, begin_ns, f"{what}, no poll")
@@ -137,7 +128,7 @@ def guard_lost(bench: DriveBench) -> None:
         begin_ns = drive.now_ns
         _guard(drive)
         drive.quiet(1.5 * life_ms / 1e3)
-        late = _count(drive, begin_ns, _LOST)
+        late = drive.count_emergencies(_LOST, begin_ns)
         drive.expect(not late, "100Ch = 0", "no life guarding", f"{late} EMCY")
 
 
@@ -155,7 +146,7 @@ def two_hosts(bench: DriveBench) -> None:
     what = f"{_SECOND_CONSUMER}: the node-ID of the first entry"
     drive.expect(refused == _INCOMPATIBLE, what, f"{_INCOMPATIBLE:08X}h", seen)
     drive.quiet(2.0 * _PERIODS_MS[1] / 1e3)
-    early = _count(drive, begin_ns, _LOST)
+    early = drive.count_emergencies(_LOST, begin_ns)
     drive.expect(not early, "no heartbeat yet", "no EMCY 8130h", f"{early}", "watched before")
     for host in _HOSTS:
         drive.client.send(0x700 + host, b"\x00" if host == _HOSTS[0] else b"\x05")
@@ -334,7 +325,7 @@ def lss_node_id(bench: DriveBench) -> None:
     begin_ns = drive.now_ns
     drive.client.node.nmt.send_command(RESET_COMMUNICATION)
     drive.quiet(0.5)
-    booted = drive.client.heard(_error_control_id(drive), begin_ns)
+    booted = drive.client.heard(drive.error_control_id, begin_ns)
     drive.expect(not booted, "reset without a node-ID", "no boot-up", f"{len(booted)}")
     _answered(drive, b"\x4c", b"\x50", "identify non-configured")
     _scan(drive, numbers)
@@ -346,7 +337,7 @@ def lss_node_id(bench: DriveBench) -> None:
     _lss(drive, 0x04, 0)
 
     def has_booted() -> bool:
-        heard = drive.client.heard(_error_control_id(drive), begin_ns)
+        heard = drive.client.heard(drive.error_control_id, begin_ns)
         return any(one.data == b"\0" for one in heard)
 
     drive.client.wait_for(has_booted, BOOT_S)

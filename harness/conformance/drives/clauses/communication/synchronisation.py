@@ -12,9 +12,10 @@ from motorhil.harness.conformance.drives.clauses.communication.process_data impo
     configure,
     operational,
     quiet_other_pdos,
+    send_word,
+    sync,
 )
 from motorhil.harness.conformance.drives.client import SYNC
-from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, State
 
@@ -33,21 +34,6 @@ _TIMER_MS: Final = 60
 _ODD_SYNC: Final = 0x8240
 _PDO_TOO_LONG: Final = 0x8220
 _PDO_MISSING: Final = 0x8250
-
-
-def _word(drive: Drive, identifier: int, word: int, tail: bytes = b"") -> int:
-    """Send a controlword by RPDO; return when it was complete [ns]."""
-    return drive.client.send(identifier, struct.pack("<H", word) + tail).time_ns
-
-
-def _count(drive: Drive, since_ns: int, code: int) -> int:
-    wanted = code.to_bytes(2, "little")
-    return sum(one.data[:2] == wanted for one in drive.emergencies(since_ns))
-
-
-def _sync(drive: Drive, data: bytes = b"") -> None:
-    drive.client.send(SYNC, data)
-    drive.quiet(0.01)
 
 
 @drive_clause("SYN-01", Level.L4, source="CiA 301, 7.5.2.22, 1019h; 1800h:6; EMCY 8240h")
@@ -69,15 +55,15 @@ def counted_sync(bench: DriveBench) -> None:
     for odd, right in ((b"", b"\x01"), (b"\x01\x00", b"\x02")):
         drive.become(State.SWITCH_ON_DISABLED, od.DISABLE_VOLTAGE, "transition 7")
         begin_ns = drive.now_ns
-        _word(drive, rpdo, od.SHUTDOWN)
+        send_word(drive, rpdo, od.SHUTDOWN)
         for _ in range(2):
-            _sync(drive, odd)
+            sync(drive, odd)
         seen = drive.state()
         what = f"SYNC with {len(odd)} bytes, 1019h = {_COUNTS}"
         drive.expect(seen is State.SWITCH_ON_DISABLED, what, "it is ignored", f"{seen}")
-        count = _count(drive, begin_ns, _ODD_SYNC)
+        count = drive.count_emergencies(_ODD_SYNC, begin_ns)
         drive.expect(count == 1, f"{what}, twice", "one EMCY 8240h", f"{count}")
-        _sync(drive, right)
+        sync(drive, right)
         drive.await_state(State.READY_TO_SWITCH_ON, "SYNC with a counter", "transition 2")
         drive.await_emergency(0x0000, begin_ns, "SYNC with a counter again")
     drive.client.node.nmt.send_command(PRE_OPERATIONAL)
@@ -88,7 +74,7 @@ def counted_sync(bench: DriveBench) -> None:
     sent: list[int] = []
     for counter in counters:
         before = len(drive.client.heard(tpdo, begin_ns))
-        _sync(drive, bytes((counter,)))
+        sync(drive, bytes((counter,)))
         if len(drive.client.heard(tpdo, begin_ns)) > before:
             sent.append(counter)
     first = counters.index(_START_AT)
@@ -97,9 +83,9 @@ def counted_sync(bench: DriveBench) -> None:
     drive.expect(sent == wanted, what, f"sent at {wanted}", f"{sent}", "1800h:6 is ignored")
     drive.set(_OVERFLOW, 0)
     begin_ns = drive.now_ns
-    _sync(drive, b"\x01")
+    sync(drive, b"\x01")
     drive.await_emergency(_ODD_SYNC, begin_ns, "SYNC with a counter, 1019h = 0")
-    _sync(drive)
+    sync(drive)
     drive.await_emergency(0x0000, begin_ns, "SYNC without a counter, 1019h = 0")
 
 
@@ -165,8 +151,8 @@ def sync_window(bench: DriveBench) -> None:
         drive.become(before, od.DISABLE_VOLTAGE, "transition 7")
         sync_ns = drive.client.send(SYNC).time_ns
         drive.quiet(late_s - 0.0005)
-        late_ms = (_word(drive, rpdo, od.SHUTDOWN) - sync_ns) / 1e6
-        _sync(drive)
+        late_ms = (send_word(drive, rpdo, od.SHUTDOWN) - sync_ns) / 1e6
+        sync(drive)
         drive.quiet()
         what = f"RPDO {late_ms:.1f} ms after SYNC, 1007h = {_WINDOW_US} us"
         expected = "discarded" if state is before else "processed at the next SYNC"
@@ -185,7 +171,7 @@ def requested_tpdo(bench: DriveBench) -> None:
         quiet_other_pdos(drive, 0x1800)
         operational(drive)
         drive.become(State.SWITCH_ON_DISABLED, od.DISABLE_VOLTAGE, "transition 7")
-        _sync(drive)
+        sync(drive)
         old = drive.statusword()
         begin_ns = drive.now_ns
         drive.become(State.READY_TO_SWITCH_ON, od.SHUTDOWN, "transition 2")
@@ -226,23 +212,23 @@ def watched_rpdo(bench: DriveBench) -> None:
     drive.await_state(State.SWITCH_ON_DISABLED, "power-on", "transition 1")
     begin_ns = drive.now_ns
     for _ in range(2):
-        _word(drive, identifier, od.SHUTDOWN, b"\x55")
+        send_word(drive, identifier, od.SHUTDOWN, b"\x55")
     drive.await_state(State.READY_TO_SWITCH_ON, "RPDO with 3 bytes of 2", "its first bytes count")
-    count = _count(drive, begin_ns, _PDO_TOO_LONG)
+    count = drive.count_emergencies(_PDO_TOO_LONG, begin_ns)
     drive.expect(count == 1, "RPDO with 3 bytes of 2, twice", "one EMCY 8220h", f"{count}")
-    _word(drive, identifier, od.SHUTDOWN)
+    send_word(drive, identifier, od.SHUTDOWN)
     drive.await_emergency(0x0000, begin_ns, "RPDO of the right length again")
     drive.require(_RPDO_TIMER)
     drive.set(_RPDO_TIMER, _TIMER_MS)
     begin_ns = drive.now_ns
     drive.quiet(2.0 * _TIMER_MS / 1e3)
-    early = _count(drive, begin_ns, _PDO_MISSING)
+    early = drive.count_emergencies(_PDO_MISSING, begin_ns)
     drive.expect(not early, "1400h:5, no RPDO yet", "no EMCY", f"{early}")
     for _ in range(2):
         for _ in range(3):
-            last_ns = _word(drive, identifier, od.SHUTDOWN)
+            last_ns = send_word(drive, identifier, od.SHUTDOWN)
             drive.quiet(0.7 * _TIMER_MS / 1e3)
-        early = _count(drive, begin_ns, _PDO_MISSING)
+        early = drive.count_emergencies(_PDO_MISSING, begin_ns)
         what = f"1400h:5 = {_TIMER_MS}, an RPDO each {0.7 * _TIMER_MS:g} ms"
         drive.expect(not early, what, "no EMCY 8250h", f"{early}", "another time is used")
         frame = drive.await_emergency(_PDO_MISSING, begin_ns, f"{what}, then none")
@@ -251,14 +237,14 @@ def watched_rpdo(bench: DriveBench) -> None:
         is_right = _TIMER_MS - 1.0 <= late_ms <= _TIMER_MS + 10.0
         drive.expect(is_right, f"{what}, then none", expected, f"{late_ms:.1f} ms")
         drive.quiet(2.0 * _TIMER_MS / 1e3)
-        count = _count(drive, begin_ns, _PDO_MISSING)
+        count = drive.count_emergencies(_PDO_MISSING, begin_ns)
         drive.expect(count == 1, f"{what}, then none", "one EMCY 8250h", f"{count}")
         begin_ns = drive.now_ns
-        _word(drive, identifier, od.SHUTDOWN)
+        send_word(drive, identifier, od.SHUTDOWN)
         drive.await_emergency(0x0000, begin_ns, "an RPDO again")
     drive.set(_RPDO_TIMER, 0)
     begin_ns = drive.now_ns
-    _word(drive, identifier, od.SHUTDOWN)
+    send_word(drive, identifier, od.SHUTDOWN)
     drive.quiet(2.0 * _TIMER_MS / 1e3)
-    late = _count(drive, begin_ns, _PDO_MISSING)
+    late = drive.count_emergencies(_PDO_MISSING, begin_ns)
     drive.expect(not late, "1400h:5 = 0", "no EMCY 8250h", f"{late}")
