@@ -7,6 +7,7 @@ object of the rig. Its docstring describes it.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from motorhil.emulators.can.frame import pack
 from motorhil.emulators.canopen import error_control, lss, pdo, pdo_mapping, sdo_server, sync
 from motorhil.emulators.canopen.codes import AbortCode
 from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
@@ -1247,6 +1248,23 @@ def wrong_crc_is_taken(patch):
 def toggle_bit_of_guarding_stands(patch):
     """The answers of node guarding have no toggle bit."""
     patch.setattr(error_control, "_TOGGLE", 0)
+
+
+@mutant("GUARD-01")
+def guarding_is_answered_beside_a_heartbeat(patch):
+    """Node guarding is answered although the node has a heartbeat."""
+
+    def make(good):
+        def receive(self, state, now_ns):
+            if not self._od.integer(0x1017, 0, 0):
+                return good(self, state, now_ns)
+            self._outbox.frames.append(pack(self._answer_id, bytes((state | self._toggle,))))
+            self._toggle ^= 0x80
+            return False
+
+        return receive
+
+    _wrap(patch, error_control.NodeGuarding, "receive", make)
 
 
 @mutant("GUARD-02")

@@ -121,5 +121,5 @@ def test_kind_without_a_preparation_is_told():
     class Unfinished(Drive):
         _prepare = PolledHardware._prepare
 
-    with pytest.raises(TypeError, match="abstract class Unfinished.* _prepare"):
+    with pytest.raises(TypeError, match=r"abstract class Unfinished.* _prepare"):
         Unfinished()
