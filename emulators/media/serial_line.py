@@ -60,6 +60,7 @@ class SerialLine:
 
     Attributes:
         has_silences: as given.
+        bits: of a character, start and stop bits included.
         t15_ns, t35_ns: the two silences; 0 without silences.
         characters, frames, spoiled, collisions: counted since the beginning.
         busy_ns: the total time in which any port was sending.
@@ -88,9 +89,9 @@ class SerialLine:
             )
         self.name: Final = name
         self.baud: Final = baud
-        self._bits: Final = 9 + (parity != "N") + stop_bits
+        self.bits: Final = 9 + (parity != "N") + stop_bits
         self.has_silences: Final = silences
-        t15_ns, t35_ns = 3 * self._bits * _NS // (2 * baud), 7 * self._bits * _NS // (2 * baud)
+        t15_ns, t35_ns = 3 * self.bits * _NS // (2 * baud), 7 * self.bits * _NS // (2 * baud)
         if baud > _FAST_BIT_S:
             t15_ns, t35_ns = _T15_NS, _T35_NS
         self.t15_ns: Final = t15_ns if silences else 0
@@ -121,7 +122,7 @@ class SerialLine:
 
     def duration_ns(self, characters: int) -> int:
         """Return how long so many characters take without a pause [ns]."""
-        return characters * self._bits * _NS // self.baud
+        return characters * self.bits * _NS // self.baud
 
     def silent_since_ns(self) -> int:
         """Return the end of the last character that was heard [ns]."""
@@ -248,7 +249,7 @@ class SerialLine:
 
     def _garbled(self, bursts: list[_Burst]) -> bytes:
         """Return the characters that a listener reads from overlapping bursts: a 0 prevails."""
-        char, start_ns = self._bits * _NS, bursts[0].start_ns
+        char, start_ns = self.bits * _NS, bursts[0].start_ns
         slots: list[int] = []
         for burst in bursts:
             at = (2 * (burst.start_ns - start_ns) * self.baud + char) // (2 * char)

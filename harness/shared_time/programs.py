@@ -256,9 +256,8 @@ def _lines_text(buses: "Iterable[BusDescription]") -> str:
         if bus.kind == MODBUS_TCP:
             rows.append(f"{bus.name}\t{bus.address}\t0\t0\t-\t0")
         elif bus.is_line:
-            bits = 9 + (bus.parity != "N") + bus.stop_bits
-            form, silence_ns = f"8{bus.parity}{bus.stop_bits}", serial_line(bus).t35_ns
-            fields = (bus.name, bus.address, bus.bitrate_bit_s, bits, form, silence_ns)
+            wires, form = serial_line(bus), f"8{bus.parity}{bus.stop_bits}"
+            fields = (bus.name, bus.address, bus.bitrate_bit_s, wires.bits, form, wires.t35_ns)
             rows.append("\t".join(map(str, fields)))
     return "\n".join(rows)
 

@@ -53,9 +53,7 @@ _CIA402: Final[Mapping[str, Sequence[Change]]] = {
         ("latency_s = [0.0, 0.001]", "latency_s = [-0.003, 0.001]"),
     ],
     "limited jerk": [('kind = "cia402"\n', 'kind = "cia402"\n'), _JERK],
-    "drive boots late": [
-        ('kind = "cia402"\n', 'kind = "cia402"\ntiming = { boot_up_s = 1.0, enable_s = 0.1 }\n')
-    ],
+    "drive boots late": of_controller("cia402", "timing = { boot_up_s = 1.0, enable_s = 0.1 }"),
 }
 _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     "dryve drive options": of_controller(

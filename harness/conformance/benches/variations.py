@@ -179,7 +179,7 @@ _GENERAL: Final = (
     *_OF_OTHER_MOTORS,
     *OPTIONS,
 )
-"""Variations that do not depend on the kind of the controllers."""
+"""Variations that not only rigs with CiA 402 drives can have, if their text has the places."""
 NOT_VARIED: Final = ("a second program that takes the motor",)
 """Conditions that no variation makes yet; a run reports that they were not met."""
 _AND: Final = " + "
