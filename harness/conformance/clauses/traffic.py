@@ -111,11 +111,16 @@ class _Theory:
             ]
             for one in self.streams
         }
+        hindering = [
+            one
+            for one in self.streams
+            if any(one in self._level(other)[1] for other in self.streams)
+        ]  # the lateness of others delays nobody
         self.is_bounded = changed = True
         longest_ns = max(one.period_ns for one in ordered)
         while changed and self.is_bounded:
             changed = False
-            for one in self.streams:
+            for one in hindering:
                 waits = [w - at for at, w, first in self._waits(one) if not first]
                 late_ns = max(waits, default=0) if len(self._queues[id(one)]) > 1 else 0
                 changed = changed or late_ns != one.late_ns
