@@ -26,11 +26,16 @@ from motorhil.harness.cli.processes import StopSignals
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
 from motorhil.harness.replay.device_node import KIND as RECORDED
 from motorhil.harness.replay.verdict import summary, unanswered
-from motorhil.harness.rig.config.buses import MODBUS_RTU, MODBUS_TCP, SERIAL, BusDescription
+from motorhil.harness.rig.config.buses import (
+    MODBUS_RTU,
+    MODBUS_TCP,
+    SERIAL,
+    BusDescription,
+    host_and_port,
+)
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
 
-_PORT_MAX: Final = 65_535
 _NOT_FOUND: Final = 127
 _GRACE_S: Final = 3.0
 _BOOT_NS: Final = 2_000_000_000  # no emulated node takes longer
@@ -296,12 +301,10 @@ def _protocol(bus: BusDescription) -> str:
 
 def _tcp_address(rig: Rig, text: str) -> tuple[str, str, int]:
     bus, place = _bus_and_place(rig, text, "--modbus-tcp", MODBUS_TCP)
-    host, _, port = place.rpartition(":")
-    if host.startswith("[") and host.endswith("]"):
-        host = host[1:-1]
-    if not host or not (port.isascii() and port.isdigit()) or int(port) > _PORT_MAX:
+    end = host_and_port(place)
+    if end is None:
         raise ModbusSocketError(f"--modbus-tcp {text}: no HOST:PORT; usual: 127.0.0.1:5020")
-    return bus, host, int(port)
+    return bus, *end
 
 
 def _bus_and_place(rig: Rig, text: str, option: str, kind: str) -> tuple[str, str]:

@@ -18,6 +18,7 @@ from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.benches.rig_bench import SECOND_USER, physical_name
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.recording.sources import Kind, PlaceError, open_bus, parse_place
+from motorhil.harness.rig.config.buses import host_and_port
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
@@ -277,10 +278,12 @@ class WallBench:
     def _line_at(self, bus: str, where: str) -> TcpLine | SerialLine:
         described = self._description.buses[bus]
         if described.kind == "modbus_tcp":
-            host, _, port = where.rpartition(":")
-            if not host or not port.isdecimal():
-                host, port = where, str(_MODBUS_PORT)
-            return TcpLine(host, int(port), runtime=self.runtime)
+            end = host_and_port(where) or host_and_port(f"{where}:{_MODBUS_PORT}")
+            if end is None:
+                raise RigError(
+                    f"--on {bus}={where}", "is no address of a gateway", "write HOST:PORT"
+                )
+            return TcpLine(*end, runtime=self.runtime)
         return SerialLine(
             where,
             baud_bit_s=described.bitrate_bit_s,

@@ -243,13 +243,28 @@ class BusTable:
             )
 
 
+def host_and_port(address: str) -> tuple[str, int] | None:
+    """Return the parts of `HOST:PORT`, the host without brackets; None: it is no such address.
+
+    An IPv6 address is written in brackets. Port 0 is a part, too; it stands for any free port.
+    """
+    host, _, port = address.rpartition(":")
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    elif ":" in host:
+        return None
+    if not host or not (port.isascii() and port.isdigit()) or len(port) > 5:
+        return None
+    return (host, int(port)) if int(port) <= PORT_MAX else None
+
+
 def _check_address(kind: str, address: str | None) -> None:
     """Refuse an address that is not one of a line of this kind (SettingError)."""
     if address is None or kind not in LINES:
         return
     if kind == MODBUS_TCP:
-        host, _, port = address.rpartition(":")
-        if not host or not (port.isascii() and port.isdigit()) or not 1 <= int(port) <= PORT_MAX:
+        end = host_and_port(address)
+        if end is None or end[1] == 0:
             message = f'"{address}" is not the address of a gateway'
             raise SettingError(("address",), message, 'write "HOST:PORT"')
     elif not address.startswith("/"):

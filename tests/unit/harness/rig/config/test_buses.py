@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
+from motorhil.harness.rig.config.buses import host_and_port
 from motorhil.harness.rig.config.rig_file import Known, parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.rig import Rig
@@ -261,3 +262,25 @@ def test_line_faults_can_be_injected_lifted_and_counted(tmp_path):
         assert rig.faults.fired() == {"lose": 1}
         with pytest.raises(ValueError, match="fault lose: unknown rule"):
             rig.faults.lift("rs485", "lose")
+
+
+@pytest.mark.parametrize(
+    ("address", "parts"),
+    [
+        ("localhost:502", ("localhost", 502)),
+        ("[::1]:5020", ("::1", 5020)),
+        ("gateway:0", ("gateway", 0)),
+        ("gateway:65535", ("gateway", 65_535)),
+        ("gateway:65536", None),
+        ("gateway:99999999999999999999", None),
+        ("::1:502", None),  # is it port 502, or an address without one?
+        ("gateway:", None),
+        ("gateway:+5", None),
+        ("gateway:\u0665", None),  # a digit, but of no port
+        (":502", None),
+        ("gateway", None),
+        ("", None),
+    ],
+)
+def test_parts_of_an_address(address, parts):
+    assert host_and_port(address) == parts
