@@ -203,7 +203,7 @@ def test_sdk_drives_a_served_rig_on_a_terminal(served, sdk):
         for _ in range(50):
             with suppress(IndexError):
                 result = call(served, *values)
-                if COMM_SUCCESS in result[-2:]:
+                if result[-2] == COMM_SUCCESS:  # the last one is the drive's error, often 0, too
                     return result
         pytest.fail("no answer")
 
