@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from motorhil.harness.cli.main import main
 from tests.support.modbus.served_plant import RIG, Server
 from tests.system.wall.test_serve import motorhil, one_line
 
@@ -59,11 +60,10 @@ def test_stale_link_is_replaced_and_file_is_kept(tmp_path):
         (["--socket", "/tmp/x", "--modbus-tcp", "127.0.0.1:0"], "no CAN bus for --on and --socket"),
     ],
 )
-def test_invalid_address_is_one_line_error(tmp_path, words, reason):
+def test_invalid_address_is_one_line_error(tmp_path, capsys, words, reason):
     (tmp_path / "rig.toml").write_text(RIG)
-    done = motorhil("serve", str(tmp_path / "rig.toml"), *words, "--", "true")
-    assert done.returncode == 2
-    assert reason in one_line(done.stderr)
+    assert main(["serve", str(tmp_path / "rig.toml"), *words, "--", "true"]) == 2
+    assert reason in one_line(capsys.readouterr().err)
 
 
 def test_any_address_option_admits_other_machines(tmp_path):
