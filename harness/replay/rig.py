@@ -21,7 +21,7 @@ from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.recording import named_files
 from motorhil.traces.decoding.attached_rig import rig_in as rig_of
 from motorhil.traces.errors import TraceError
-from motorhil.traces.exchange.drive_kinds import CAN_KINDS
+from motorhil.traces.exchange.drive_kinds import CAN_KINDS, LINE_KINDS
 from motorhil.traces.exchange.recording import RecordedExchanges
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.records import Attachment
@@ -52,7 +52,7 @@ def with_recorded(
     Raises:
         RigError: a controller is of a kind that no recording stands in for.
     """
-    controllers, others = {}, installed(DECODERS).keys() - CAN_KINDS
+    controllers, others = {}, installed(DECODERS).keys() - {*CAN_KINDS, *LINE_KINDS}
     for name, controller in description.controllers.items():
         if controller.kind in others:
             raise description.error(

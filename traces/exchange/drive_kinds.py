@@ -60,6 +60,8 @@ Decode = Callable[[bytes], BusMessage | None]
 
 
 CAN_KINDS: Final = ("mit", "robstride", "rmd", "moteus", "vesc")
+LINE_KINDS: Final = ("dynamixel",)
+"""Kinds on serial lines that are not Modbus lines."""
 
 
 def readers_of(kind: str, node: int, table: Mapping[str, object]) -> tuple[Decode, Read] | None:
