@@ -100,6 +100,8 @@ _FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is
 _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
 _BOOTED_NS: Final = 1_000_000_000
+_NOTICE_NS: Final = 480_000_000  # the least time from a start to its notice
+_GAP_NS: Final = 40_000_000  # without STATUS: two periods of 50 Hz
 _LATE_NS: Final = 400_000_000  # an angle so late and a tachometer in time are not of one position
 _ERPM_MAX: Final = 2**31 - 1
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
@@ -198,6 +200,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         self._rested: tuple[float, float, int] | None = None  # angle, turns [turns], since [ns]
         self._packet = b""
         self._since_ns = 0  # first frame since the drive was lost
+        self._status_ns = self._gap_ns = 0  # last frame, and last first one after a gap
         self._asks = self._is_known = False  # whether it was connected once
         self._feeds = False  # whether this program was the last to command the drive
         self._life, self._angles, self._counts = (
@@ -350,6 +353,9 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
             self._velocity = _ERPM.unpack(data)[0] / (60.0 * self.options.pole_pairs)
             if self._life.came(time_ns):
                 self._since_ns = time_ns
+            elif time_ns - self._status_ns > _GAP_NS:
+                self._gap_ns = time_ns
+            self._status_ns = time_ns
 
     def _on_angle(self, data: bytes, time_ns: int) -> None:
         if len(data) == _ANGLE.size:
@@ -435,8 +441,12 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         self.see_fault(code, problem, self.drive.runtime.now_ns())
 
     def _on_boot(self, data: bytes, time_ns: int) -> None:
-        """Note a restart; the notice of a start comes half a second after the first frames."""
-        if time_ns - self._since_ns > _BOOTED_NS or self._is_kept:
+        """Note a restart; the notice of a start comes half a second after the first frames.
+
+        So a drive that was heard before a gap, half a second ago or earlier, started in that gap.
+        """
+        has_gap = self._since_ns < self._gap_ns <= time_ns - _NOTICE_NS
+        if has_gap or time_ns - self._since_ns > _BOOTED_NS or self._is_kept:
             self._restart()
 
     def _on_answer(self, data: bytes, time_ns: int) -> None:

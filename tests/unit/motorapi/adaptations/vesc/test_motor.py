@@ -416,6 +416,33 @@ def test_restart_at_the_place_of_power_on_is_told_by_the_boot_notice():
         assert motor.state() is not MotorState.ENABLED
 
 
+def test_restart_soon_after_the_first_start_is_told_by_its_notice():
+    """The first notice never comes; the second one is within 1 s of the first frames."""
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        rig.runtime.run_for(0.3)
+        rig.controllers["left"].stimulate("power", 0)
+        rig.runtime.run_for(0.05)
+        rig.controllers["left"].stimulate("power", 1)
+        rig.runtime.run_for(0.48)
+        assert motor.state() is MotorState.ENABLED  # nothing tells it yet
+        rig.runtime.run_for(0.1)
+        assert motor.state() is not MotorState.ENABLED
+
+
+@pytest.mark.parametrize(("from_ms", "to_ms"), [(50, 100), (100, 250), (350, 495)])
+def test_notice_of_the_first_start_after_a_pause_is_no_restart(from_ms, to_ms):
+    with opened() as rig:
+        motor = rig.motors["left"]
+        times = {"from_ns": from_ms * 1_000_000, "until_ns": to_ms * 1_000_000}
+        rig.faults.inject("can0", FaultRule("pause", FaultKind.DROP, sender="left", **times))
+        motor.enable()
+        rig.runtime.run_for(1.5)
+        assert motor.state() is MotorState.ENABLED
+        assert motor.hardware.motions.variable is not None
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_position_survives_lost_frames_in_motion(seed):
     """An angle of before the loss, beside a tachometer of after it, once told a span too much."""
