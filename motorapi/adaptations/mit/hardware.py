@@ -2,7 +2,8 @@
 
 The drive has no profile generator and tells its state only in answers to commands. While this
 program controls the motor, it repeats a command every period: a motion, a stop, or a position to
-hold. Otherwise it sends a command to be limp, which only reads, and this only if no answer to
+hold. After an error of its stream that is the last set-point, until another program commands it.
+Otherwise it sends a command to be limp, which only reads, and this only if no answer to
 another program was heard for a while.
 
 The state "on" is in the answers of Damiao and RobStride. Other drives do not tell it: it follows
@@ -274,8 +275,6 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
             self._lose()
         elif self._is_asking or motions.is_going:
             return
-        elif motions.error is not None:
-            motions.variable = None  # another one has the motor
         elif motions.variable is not None or now_ns - self.time_ns >= self.options.quiet_ms * 1e6:
             with suppress(LinkError):
                 self._ask()

@@ -23,6 +23,7 @@ from motorhil.motorapi import (
     LimitError,
     LinkError,
     MotionInterrupted,
+    MotorBusyError,
     MotorState,
     PeerError,
     TrapezoidalTrajectory,
@@ -30,6 +31,7 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.adaptations.mit.frames import MODELS, Command, Frames, Maker, Ranges
 from motorhil.motorapi.adaptations.mit.hardware import LIMP
+from motorhil.motorapi.motion import Motion
 from tests.support.kit_benches import RIGS
 
 EMULATED = {name: tuple(ranges) for name, (_, ranges) in EMULATED_MODELS.items()}
@@ -396,6 +398,62 @@ def test_motion_that_is_refused_is_not_kept():
         with pytest.raises(LinkError, match="closed"):
             hardware.motions.hold((2.0, 0.0), partial(hardware.send, ControlVariable.POSITION))
         assert hardware.present() == LIMP
+
+
+def motion_to(target):
+    """Return a motion in units of the drive."""
+    limits = {"velocity": 2.0, "acceleration": 8.0, "deceleration": 8.0}
+    place = {"start": 0.0, "target": target}
+    return Motion(ControlMode.SETPOINT, ControlVariable.POSITION, **place, **limits)
+
+
+def test_motor_is_held_and_heard_after_an_error_of_its_stream():
+    """The error is told until the next motion; the motor holds where the stream has ended."""
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.home(37)
+        hardware, end_ns = motor.hardware, rig.runtime.now_ns() + 500_000_000
+
+        def send(value, fence):
+            if rig.runtime.now_ns() > end_ns:
+                raise LinkError(link="can0", reason="it takes no frame")
+            return hardware.send(ControlVariable.POSITION, value, fence)
+
+        hardware.motions.start(motion_to(3.0), 1.0, hardware.measured(), send)
+        rig.runtime.run_for(0.6)
+        stopped_at = hardware.motions.demand()[0]
+        assert 0.5 < stopped_at < 1.5
+        rig.runtime.run_for(1.0)
+        assert "it takes no frame" in str(hardware.motions.error)
+        assert motor.state() is MotorState.ENABLED
+        assert motor.is_referenced()
+        assert motor.position() == pytest.approx(stopped_at, abs=0.01)
+        assert true(rig) == pytest.approx(stopped_at, abs=0.01)
+        go_to(motor, 2.0)
+        assert hardware.motions.error is None
+        motor.wait_until_done(timeout_s=3)
+        assert true(rig) == pytest.approx(2.0, abs=0.01)
+
+
+def test_other_program_ends_the_holding_after_an_error():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        hardware = motor.hardware
+
+        def send(value, fence):
+            if hardware.motions.is_going:
+                raise MotorBusyError(motor="left", holder="another program", since_ns=0)
+            return hardware.send(ControlVariable.POSITION, value, fence)
+
+        hardware.motions.start(motion_to(3.0), 1.0, hardware.measured(), send)
+        rig.runtime.run_for(0.2)
+        assert isinstance(hardware.motions.error, MotorBusyError)
+        assert true(rig, "command_kp_n_m_rad") > 0.0
+        frames(rig, 0.0, sent=b"\xff" * 7 + b"\xfd")
+        rig.runtime.run_for(0.2)
+        assert hardware.present() == LIMP
+        assert motor.state() is MotorState.DISABLED
 
 
 def test_reader_does_not_disturb_another_program():
