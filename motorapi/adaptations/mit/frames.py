@@ -169,6 +169,10 @@ class Frames:
         """Return the identifiers of answers."""
         return (self.master_id,)
 
+    def more_answers(self, can_id: int) -> Iterable[int]:
+        """Return the identifiers of further answers, after a frame that shows another host."""
+        return ()
+
     def requests(self) -> Iterable[int]:
         """Return the identifiers of requests that are handled if other programs send them."""
         return (self.node_id,)

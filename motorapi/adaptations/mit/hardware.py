@@ -12,7 +12,7 @@ from the requests on the bus. A drive that nobody has switched on counts as off.
 
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -130,13 +130,16 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
         self._parameters: dict[int, float] = {}
         self._awaited: bytes | None = None  # the beginning of the answer to a reading
         self._life = drive.expect("answer", own.timeout_ms / 1e3, self._lose)
-        for can_id in self.frames.answers():
-            drive.handle(can_id, partial(self._on_answer, can_id))
+        self._handle(self.frames.answers())
         for can_id in self.frames.requests():
             drive.handle(can_id, partial(self._on_request, can_id))
         drive.every(own.period_ms / 1e3, self._beat)
         can_id, data = self.frames.command(LIMP)
         drive.starts_by(can_id, len(data))
+
+    def _handle(self, answers: Iterable[int]) -> None:
+        for can_id in answers:
+            self.drive.handle(can_id, partial(self._on_answer, can_id))
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its ranges as far as it tells them.
@@ -286,6 +289,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
                 self._parameters[data[3]] = struct.unpack_from("<f", data, 4)[0]
                 self._awaited = None
             return  # a repeated one is no position near the end of the range
+        self._handle(self.frames.more_answers(can_id))
         answer = self.frames.answer(can_id, data)
         if isinstance(answer, str):
             self._others.add(answer)
@@ -347,6 +351,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
 
     def _on_request(self, can_id: int, data: bytes, time_ns: int) -> None:
         """Handle a request of another program."""
+        self._handle(self.frames.more_answers(can_id))
         asked = self.frames.asked(can_id, data)
         if asked in (Special.ENTER, Special.LEAVE):
             self._is_on = asked is Special.ENTER

@@ -491,6 +491,48 @@ def test_drive_that_knows_no_host_is_heard_by_any():
         assert motor.state() is MotorState.DISABLED
 
 
+THIRD_HOST = {  # 11h writes 7017h, the speed limit of position mode: 2.0
+    "arbitration_id": 0x12001101,
+    "data": bytes.fromhex("1770000000000040"),
+}
+
+
+def test_drive_that_answers_a_third_host_is_found_and_heard():
+    """Commands do not name their host: they are answered to that of the last request."""
+    with opened("rs01") as rig, can.Bus(interface="emulated", channel="can0") as bus:
+        motor = rig.motors["left"]
+        rig.runtime.run_for(0.2)  # it boots
+        bus.send(can.Message(**THIRD_HOST))
+        rig.runtime.run_for(0.2)
+        assert motor.position() == pytest.approx(0.0, abs=0.001)
+        rig.controllers["left"].stimulate("fault", 2)  # told to that host, too
+        rig.runtime.run_for(0.05)
+        assert "over current" in repr(motor.fault())
+
+
+def test_drive_that_answers_a_third_host_goes_on_in_a_motion():
+    with opened("rs01") as rig, can.Bus(interface="emulated", channel="can0") as bus:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 2.0)
+        rig.runtime.run_for(0.2)
+        bus.send(can.Message(**THIRD_HOST))
+        motor.wait_until_done(timeout_s=3)
+        assert true(rig) == pytest.approx(2.0, abs=0.01)
+
+
+def test_reference_that_a_third_host_writes_interrupts():
+    with opened("rs01") as rig, can.Bus(interface="emulated", channel="can0") as bus:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 2.0)
+        rig.runtime.run_for(0.2)
+        speed = bytes.fromhex("0A7000000000803F")  # 700Ah: 1.0 rad/s
+        bus.send(can.Message(arbitration_id=0x12001101, data=speed))
+        with pytest.raises(MotionInterrupted, match="another program"):
+            motor.wait_until_done(timeout_s=3)
+
+
 def test_answers_of_another_motor_are_named():
     other = can.Message(arbitration_id=2, data=b"\xff" * 8, is_extended_id=False)
     with (
