@@ -30,8 +30,10 @@ from motorhil.emulators.api import (
     drive_builder,
     flags,
     ns,
+    of_code,
     positive,
     text,
+    to_code,
     truncated,
     whole,
 )
@@ -362,22 +364,23 @@ class RmdController(CanMotorDrive):
         if self._can_move():
             self._mode = CURRENT
             turned_over = self._radians() - self._within()
-            p = _of_code(bits >> 48, 16, -_P_RAD, _P_RAD) + turned_over
+            p = of_code(bits >> 48, _P_RAD, 16) + turned_over
             gain = 1.0 / (self._inc_rad * self._n_m_a)
             self.axis.follow_impedance(
                 p * self._inc_rad + self._zero_inc(),
-                _of_code(v, 12, -_V_RAD_S, _V_RAD_S) * self._inc_rad,
-                _of_code(kp, 12, 0.0, _KP_MAX) * gain,
-                _of_code(kd, 12, 0.0, _KD_MAX) * gain,
-                _of_code(t, 12, -_T_N_M, _T_N_M) / self._n_m_a,
+                of_code(v, _V_RAD_S, 12) * self._inc_rad,
+                of_code(kp, _KP_MAX, 12, 0.0) * gain,
+                of_code(kd, _KD_MAX, 12, 0.0) * gain,
+                of_code(t, _T_N_M, 12) / self._n_m_a,
             )
         return self._impedance_answer()
 
     def _impedance_answer(self) -> bytes:
         """Return ID, p (16 bits), v and t (12 bits each), and two bytes of 0."""
-        speed = self.axis.velocity_inc_s() / self._inc_rad
-        code = _to_code(self._within(), 16, _P_RAD) << 24
-        code |= _to_code(speed, 12, _V_RAD_S) << 12 | _to_code(self.axis.torque_n_m(), 12, _T_N_M)
+        speed, torque = self.axis.velocity_inc_s() / self._inc_rad, self.axis.torque_n_m()
+        v, t = to_code(speed, _V_RAD_S, 12), to_code(torque, _T_N_M, 12)
+        v, t = (truncated(code, 12, signed=False) for code in (v, t))
+        code = to_code(self._within(), _P_RAD, 16) << 24 | v << 12 | t
         return bytes((self._node,)) + code.to_bytes(5, "big") + bytes(2)
 
     def _zero_inc(self) -> float:
@@ -556,16 +559,6 @@ class RmdController(CanMotorDrive):
         """Answer with the electrical power (71h)."""
         watts = abs(self.axis.current_a() * self.axis.winding_v())
         return request[:6] + truncated(watts * 10, 16, signed=False).to_bytes(2, "little")
-
-
-def _of_code(code: int, bits: int, low: float, high: float) -> float:
-    """Return the value of a code over a range."""
-    return code * (high - low) / ((1 << bits) - 1) + low
-
-
-def _to_code(value: float, bits: int, limit: float) -> int:
-    """Return the code of a value over -limit..limit, truncated."""
-    return truncated((value + limit) * ((1 << bits) - 1) / (2.0 * limit), bits, signed=False)
 
 
 _READS: Final = (

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
-from motorhil.motorapi.api import Fault
+from motorhil.motorapi.api import Fault, texts_of
 
 from motorhil_odrive.host import messages as m
 
@@ -85,7 +85,9 @@ class Heard:
         heartbeat = self.heartbeat
         if heartbeat is None or not heartbeat.error:
             return None
-        return Fault(heartbeat.error, m.error_text(heartbeat.error), self._fault_since_ns)
+        return Fault(
+            heartbeat.error, texts_of(heartbeat.error, m.ERROR_TEXTS), self._fault_since_ns
+        )
 
     def at(self, now_ns: int, acceleration_max: float) -> tuple[float, float]:
         """Return position [rev] and velocity [rev/s] now, from the last two estimates."""
