@@ -13,7 +13,13 @@ from motorhil.harness.replay.host import DrivenRig, bench_of, compared, drive
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import never_came, unanswered
 from motorhil.harness.rig.rig import Rig
-from motorhil.motorapi import ControlMode, PeerError
+from motorhil.motorapi import (
+    ControlMode,
+    Motor,
+    MotorGroup,
+    PeerError,
+    TrapezoidalTrajectory,
+)
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.protobuf import encode
 from motorhil.traces.schema import SERIAL_DATA, Direction, Schema
@@ -169,6 +175,28 @@ def test_program_with_another_target_fails_at_once():
     assert "Goal_Position = 2765 count" in told  # 2048 + 1.1 rad
     assert "expected, as at" in told
     assert "Goal_Position = 2700 count" in told
+
+
+def test_start_of_a_group_is_compared_for_the_recorded_servo_alone():
+    """The right servo is emulated and goes the other way: one sync write has both goals."""
+    with golden("dynamixel") as path:
+        both = described("dynamixel")
+        recorded = with_recorded(both, path).controllers["left"]
+        mixed = replace(both, controllers={**both.controllers, "left": recorded})
+        with Rig(mixed) as rig:
+            left, right = rig.motors["left"], rig.motors["right"]
+            left.set_control_mode(ControlMode.SETPOINT)
+            left.set_setpoint(1.0)
+            left.start()
+            left.wait_until_done(timeout_s=5)
+            group = MotorGroup(left, right)
+            group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+            group.set_trajectory(TrapezoidalTrajectory(-0.5), TrapezoidalTrajectory(-1.0))
+            group.start()
+            group.wait_until_done(timeout_s=5)
+            assert unanswered(rig) == []
+            assert right.position() == pytest.approx(-1.0, abs=0.01)
+            assert left.position() == pytest.approx(0.5, abs=0.01)
 
 
 def test_commands_that_a_program_leaves_out_are_named():
