@@ -39,6 +39,8 @@ from motorhil.emulators.motor_drive import (
     CanMotorDrive,
     MotorDrive,
     drive_builder,
+    of_code,
+    to_code,
     truncated,
 )
 from motorhil.emulators.plant.dc_motor import RANGES, MotorPlant
@@ -96,6 +98,7 @@ __all__ = [
     "nearest",
     "ns",
     "number",
+    "of_code",
     "on_own_time",
     "pack",
     "pack_fd",
@@ -105,6 +108,7 @@ __all__ = [
     "setting",
     "table",
     "text",
+    "to_code",
     "truncated",
     "whole",
     "with_crc",

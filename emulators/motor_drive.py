@@ -297,6 +297,18 @@ def truncated(value: float, bits: int, *, signed: bool = True) -> int:
     return int(max(-most, min(most - 1, value)))
 
 
+def to_code(value: float, limit: float, bits: int, low: float | None = None) -> int:
+    """Return the code of a value over low..limit (None: -limit..limit), truncated, unlimited."""
+    least = -limit if low is None else low
+    return int((value - least) * ((1 << bits) - 1) / (limit - least))
+
+
+def of_code(code: int, limit: float, bits: int, low: float | None = None) -> float:
+    """Return the value of a code; see `to_code`."""
+    least = -limit if low is None else low
+    return code * (limit - least) / ((1 << bits) - 1) + least
+
+
 def _listed(codes: Collection[int]) -> str:
     if isinstance(codes, range):
         return f"{codes.start} to {codes.stop - 1}"

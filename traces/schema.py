@@ -19,7 +19,7 @@ A CAN frame has Linux's layout; see `traces.can_frame`.
 
 import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
@@ -41,6 +41,7 @@ from motorhil.traces.protobuf import (
     Field,
     Kind,
     Message,
+    Value,
     decode,
     delimited,
     file_descriptor_set,
@@ -359,10 +360,9 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
     """
     fields = decode(CAN_FRAME, payload)
     can_id, data = fields.get("id", 0), fields.get("data", b"")
-    direction, asked = fields.get("direction", 0), fields.get("remote_length", 0)
+    asked = fields.get("remote_length", 0)
     assert isinstance(can_id, int)  # guaranteed by the table and by decode
     assert isinstance(data, bytes)
-    assert isinstance(direction, int)
     assert isinstance(asked, int)
     flags = 0
     for bit, name in ((FDF, "fd"), (BRS, "brs"), (ESI, "esi")):
@@ -376,8 +376,16 @@ def decode_can_frame(payload: bytes) -> RecordedFrame:
     return RecordedFrame(
         _HEADER.pack(can_id, length, flags) + data.ljust(room, b"\0"),
         str(fields.get("sender", "")),
-        Direction(direction) if direction in (1, 2) else Direction.UNKNOWN,
+        direction_of(fields),
     )
+
+
+def direction_of(fields: Mapping[str, Value]) -> Direction:
+    """Return the direction in the fields of a message."""
+    number = fields.get("direction", 0)
+    if isinstance(number, int) and number in (1, 2):
+        return Direction(number)
+    return Direction.UNKNOWN
 
 
 @final

@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from struct import Struct
 from typing import Final, final
 
-from motorhil.emulators.api import ControllerContext, drive_builder, truncated
-from motorhil.emulators.mit.drive import MitDrive, to_code
+from motorhil.emulators.api import ControllerContext, drive_builder, to_code, truncated
+from motorhil.emulators.mit.drive import MitDrive
 from motorhil.emulators.mit.settings import DAMIAO, MINI_CHEETAH, MODELS, MitTable, Ranges
 
 SPECIAL: Final = b"\xff" * 7

@@ -11,25 +11,20 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from motorhil.emulators.api import CanMotorDrive, ControllerContext, ns, truncated
+from motorhil.emulators.api import (
+    CanMotorDrive,
+    ControllerContext,
+    ns,
+    of_code,
+    to_code,
+    truncated,
+)
 from motorhil.emulators.mit.settings import Firmware, Ranges, RangesTable
 
 OVER_VOLTAGE: Final = 1.25  # of the supply's own voltage
 UNDER_VOLTAGE: Final = 0.7
 OVER_TEMPERATURE_C: Final = 125.0
 LIMP: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def to_code(value: float, limit: float, bits: int, low: float | None = None) -> int:
-    """Return the code of a value over low..limit (None: -limit..limit), truncated, unlimited."""
-    least = -limit if low is None else low
-    return int((value - least) * ((1 << bits) - 1) / (limit - least))
-
-
-def of_code(code: int, limit: float, bits: int, low: float | None = None) -> float:
-    """Return the value of a code; see `to_code`."""
-    least = -limit if low is None else low
-    return code * (limit - least) / ((1 << bits) - 1) + least
 
 
 class MitDrive(CanMotorDrive):

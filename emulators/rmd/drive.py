@@ -8,8 +8,9 @@ What is kept in ROM survives the power supply: acceleration (43h), gains (32h), 
 interruption time (B3h), ID (79h), and the switches of 20h. `rom_writes` of the truth counts writes.
 
 Choices of this emulator where the manual leaves room: a stall is a following error beyond
-`stall_deg`; an ID is valid after the restart; faults of level 2 last `fault_s`. Not emulated, with
-a warning: motion mode (400h), gains that act, RS485, bit rates, the lock of the brake; the phase
+`stall_deg`; an ID is valid after the restart; faults of level 2 last `fault_s`. Motion mode (400h)
+is reported as mode 1; both its angles are within 12.5 rad of 0, and turn over there. Not emulated,
+with a warning: gains that act, RS485, bit rates, the lock of the brake; the phase
 currents of 9Dh are always those of one electrical angle.
 
 Source: MyActuator, Servo Motor Control Protocol V4.2 (2024-05).
@@ -29,13 +30,18 @@ from motorhil.emulators.api import (
     drive_builder,
     flags,
     ns,
+    of_code,
     positive,
     text,
+    to_code,
     truncated,
     whole,
 )
 
 _REQUEST, _ANSWER, _ALL, _SETTING = 0x140, 0x240, 0x280, 0x300
+_IMPEDANCE, _IMPEDANCE_ANSWER = 0x400, 0x500  # motion mode
+_P_RAD, _V_RAD_S, _T_N_M = 12.5, 45.0, 24.0  # ranges of motion mode, either way
+_KP_MAX, _KD_MAX = 500.0, 5.0
 _MOTION: Final = Struct("<Bbhhh")
 _LAST: Final = Struct("<4xi")
 _LAST_U: Final = Struct("<4xI")
@@ -110,6 +116,8 @@ class RmdController(CanMotorDrive):
         self._settings = settings
         super().__init__(motor, range(1, 0x4000), _CAUSES)
         self._inc_deg: Final = plant.encoder_increments_rev * plant.gear_ratio / 360.0
+        self._inc_rad: Final = plant.gear_ratio * plant.increments_per_rad()
+        self._n_m_a: Final = plant.gear_ratio * plant.torque_constant_n_m_a
         self._pulses: Final = _PULSES / plant.encoder_increments_rev
         self.axis.set_windows(
             following_window_inc=round(settings.stall_deg * self._inc_deg), following_window_ns=0
@@ -213,8 +221,10 @@ class RmdController(CanMotorDrive):
     def hear(self, can_id: int, data: bytes) -> None:
         """Handle a request."""
         request, is_all = data, can_id in (_ALL, _SETTING)
-        if can_id != _REQUEST + self._node and not (is_all and not self._rom.is_filtered):
+        own = (_REQUEST + self._node, _IMPEDANCE + self._node)
+        if can_id not in own and not (is_all and not self._rom.is_filtered):
             return
+        answer_id = (_IMPEDANCE_ANSWER if can_id == own[1] else _ANSWER) + self._node
         self._hear()
         if len(request) != 8:
             self.warn(
@@ -223,7 +233,10 @@ class RmdController(CanMotorDrive):
             return
         if self._swallows:  # the first one after an interruption comes back, and does nothing
             self._swallows = False
-            self._answer(request)
+            self._answer(request, answer_id)
+            return
+        if can_id == own[1]:
+            self._answer(self.impedance(request), answer_id)
             return
         if can_id == _SETTING:
             self._set_id(request)
@@ -264,8 +277,7 @@ class RmdController(CanMotorDrive):
         return int((self.axis.count() - self._lost) * self._pulses // 1)
 
     def _centidegrees(self) -> int:
-        inc = self.axis.count() - self._lost - self._offset / self._pulses
-        return int(inc * 100.0 / self._inc_deg // 1)
+        return int((self.axis.count() - self._zero_inc()) * 100.0 / self._inc_deg // 1)
 
     def _temperature(self) -> int:
         return truncated(self.axis.winding_temperature_c(), 8)
@@ -345,6 +357,44 @@ class RmdController(CanMotorDrive):
         status = self.status_2(request)
         return status[:6] + (self._pulses_now() & 0xFFFF).to_bytes(2, "little")
 
+    def impedance(self, request: bytes) -> bytes:
+        """Obey a frame of motion mode: p (16 bits), v, kp, kd, t (12 bits each)."""
+        bits = int.from_bytes(request, "big")
+        v, kp, kd, t = (bits >> at & 0xFFF for at in (36, 24, 12, 0))
+        if self._can_move():
+            self._mode = CURRENT
+            turned_over = self._radians() - self._within()
+            p = of_code(bits >> 48, _P_RAD, 16) + turned_over
+            gain = 1.0 / (self._inc_rad * self._n_m_a)
+            self.axis.follow_impedance(
+                p * self._inc_rad + self._zero_inc(),
+                of_code(v, _V_RAD_S, 12) * self._inc_rad,
+                of_code(kp, _KP_MAX, 12, 0.0) * gain,
+                of_code(kd, _KD_MAX, 12, 0.0) * gain,
+                of_code(t, _T_N_M, 12) / self._n_m_a,
+            )
+        return self._impedance_answer()
+
+    def _impedance_answer(self) -> bytes:
+        """Return ID, p (16 bits), v and t (12 bits each), and two bytes of 0."""
+        speed, torque = self.axis.velocity_inc_s() / self._inc_rad, self.axis.torque_n_m()
+        v, t = to_code(speed, _V_RAD_S, 12), to_code(torque, _T_N_M, 12)
+        v, t = (truncated(code, 12, signed=False) for code in (v, t))
+        code = to_code(self._within(), _P_RAD, 16) << 24 | v << 12 | t
+        return bytes((self._node,)) + code.to_bytes(5, "big") + bytes(2)
+
+    def _zero_inc(self) -> float:
+        """Return where the angle is 0, in increments of the axis."""
+        return self._lost + self._offset / self._pulses
+
+    def _radians(self) -> float:
+        """Return the multi-turn angle [rad]."""
+        return (self.axis.count() - self._zero_inc()) / self._inc_rad
+
+    def _within(self) -> float:
+        """Return the angle of motion mode [rad], which turns over at its ends."""
+        return (self._radians() + _P_RAD) % (2.0 * _P_RAD) - _P_RAD
+
     def _go_to(self, dps: int, target: int) -> None:
         if not self._can_move():
             return
@@ -352,7 +402,7 @@ class RmdController(CanMotorDrive):
         target = min(target, high) if high else target
         target = max(target, low) if low else target
         self._mode = POSITION
-        inc = round(target / 100 * self._inc_deg + self._offset / self._pulses) + self._lost
+        inc = round(target / 100 * self._inc_deg + self._zero_inc())
         speed = dps * self._inc_deg if dps else _AT_ONCE
         is_direct = not self._rom.acceleration[0]
         self.axis.set_gains(self._direct if is_direct else self._profiled)
@@ -479,7 +529,7 @@ class RmdController(CanMotorDrive):
 
     def identifiers(self) -> Sequence[int] | None:
         """Return the identifiers of its requests, of those to all, and of the setting of IDs."""
-        return [_REQUEST + self._node, _ALL, _SETTING]
+        return [_REQUEST + self._node, _IMPEDANCE + self._node, _ALL, _SETTING]
 
     # --- reading
 

@@ -29,10 +29,10 @@ from typing import ClassVar, Final, final
 
 from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.modbus.rtu import crc16, with_crc
-from motorhil.harness.replay.device_drive import RecordedDrive
+from motorhil.harness.replay.device_drive import RecordedDrive, RecordedServo
 from motorhil.harness.replay.player import ExchangePlayer
 from motorhil.harness.replay.recorded_controller import RecordedController, timed_log
-from motorhil.harness.rig.config.buses import BUS_KINDS, NODE_MAX, UNIT_MAX
+from motorhil.harness.rig.config.buses import BUS_KINDS, ID_MAX, NODE_MAX
 from motorhil.settings import REQUIRED, Rule, SettingError, read, text, whole, word
 from motorhil.traces.can_frame import EFF, ERR, RTR, classic
 from motorhil.traces.decoding.canopen import CanopenDecoder
@@ -48,7 +48,7 @@ from motorhil.traces.exchange.canopen import (
     sdo_key,
     sentence,
 )
-from motorhil.traces.exchange.drive_kinds import readers_of
+from motorhil.traces.exchange.drive_kinds import CAN_KINDS, LINE_KINDS, readers_of
 from motorhil.traces.exchange.modbus import request_key, role_of
 from motorhil.traces.exchange.recording import RecordedExchanges, exchanges_of
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
@@ -334,7 +334,7 @@ class RecordedTable:
         REQUIRED, "The recording, from the rig's folder on.", example='"bench.mcap"'
     )
     node_id: int | None = whole(None, 0, NODE_MAX, "", "Its node-ID, on a CAN bus.")
-    unit: int | None = whole(None, 1, UNIT_MAX, "", "Its server address, on a line.")
+    unit: int | None = whole(None, 1, ID_MAX, "", "Its server address or id, on a line.")
     recorded_bus: str | None = text(None, "Its bus in the recording, if there are several.")
     recorded_unit: int | None = whole(None, 0, 255, "", "Its address there; absent: unit.")
     set_points: str = word("exact", SET_POINTS, "comparison", "Comparison of set-points.")
@@ -388,15 +388,19 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
     note = ""
     if found.cut and log is next(iter(found.logs.values())):  # reported only once
         note = f"{path} is {found.cut}; commands behind that are not in it"
+    table, is_any = found.drives.get((log.bus, recorded)), own.set_points == SET_POINTS[1]
+    is_known = table is not None and table["kind"] in (LINE_KINDS if is_unit else CAN_KINDS)
+    readers = readers_of(str(table["kind"]), recorded, table) if table and is_known else None
+    if is_unit and readers is not None:
+        if number != recorded:
+            problem = f"{recorded} is not unit {number}; the packets of a servo have its id"
+            raise SettingError(("recorded_unit",), problem, "leave it out")
+        return RecordedServo(log, number, readers, note, is_any)
     if is_unit:
         return RecordedUnit(log, number, note)
     bit_ns = 1_000_000_000 // own.bitrate_bit_s
     data_bit_ns = 0 if own.data_bitrate_bit_s is None else 1_000_000_000 // own.data_bitrate_bit_s
-    table = found.drives.get((log.bus, recorded))
-    if table is not None:
-        readers = readers_of(str(table["kind"]), number, table)
-        assert readers is not None  # it has a log
-        is_any = own.set_points == SET_POINTS[1]
+    if readers is not None:
         return RecordedDrive(log, readers, bit_ns, note, data_bit_ns, is_any)
     # Decoding changes a decoder, and `found` is that of all rigs of this process.
     decoder = deepcopy(found.decoders[log.bus])

@@ -37,6 +37,7 @@ from motorhil.motorapi.runtime.api import Runtime
 from motorhil.traces.can_frame import classic
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of, rig_in
 from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.dynamixel import unit_of
 from motorhil.traces.decoding.events import Kind
 from motorhil.traces.decoding.narrative import Describe, Line
 from motorhil.traces.decoding.objects import ObjectNames
@@ -56,6 +57,7 @@ from motorhil.traces.formats.frames import NS
 from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.mcap.records import Attachment
 from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.schema import Direction
 from motorhil.traces.semantics.diff import (
     Difference,
     ObjectFidelity,
@@ -515,7 +517,7 @@ def prepared(
         span_ns = trace.span_ns()
         if span_ns is not None and span_ns[1] - span_ns[0] > min(STRAY_NS, longest_s * NS):
             _require_short_pauses(trace, recording, longest_s)
-        has_lines = any(one.startswith("/modbus/") for one in topics)
+        has_lines = any(one.startswith(("/modbus/", "/serial/")) for one in topics)
         has_rig = any(rig_in(one.data) for one in trace.attachments)
         renamed = {}
         if len(recorded) == len(buses) == 1 and not has_rig:
@@ -861,6 +863,9 @@ class DrivenRig:
 
     def _listen_to_line(self, name: str, player: HostPlayer) -> None:
         line = self._rig.line(name)
+        if line.framing == "serial":
+            line.listen(lambda data, time_ns: player.answered(name, unit_of(data), time_ns))
+            return
         rest = self._rests.setdefault(name, bytearray())
         is_tcp = line.framing == "tcp"
         unit_at = 6 if is_tcp else 0
@@ -929,7 +934,7 @@ def _reports(side: HostSide, reading: Reading, from_ns: int) -> Callable[[Line],
         if line.time_ns < from_ns:
             return False
         if line.said is None or line.identifier is None:  # not a frame of a CAN bus
-            return line.message is None  # a serial line is not replayed
+            return line.message is None or line.direction is Direction.RECEIVED
         is_stranger = (line.place, line.node) in reading.strangers
         return not is_stranger and not side.sent(line.said, line.direction)
 

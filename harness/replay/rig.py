@@ -15,13 +15,20 @@ from typing import TYPE_CHECKING, Final
 from motorhil.emulators.can.controller_config import PLAIN, FrameSupport
 from motorhil.harness.plugins import DECODERS, installed
 from motorhil.harness.replay.device_node import KIND, SET_POINTS, recorded_exchanges
-from motorhil.harness.rig.config.buses import CAN, MODBUS_RTU, MODBUS_TCP, UNIT_MAX, address_key
+from motorhil.harness.rig.config.buses import (
+    CAN,
+    MODBUS_RTU,
+    MODBUS_TCP,
+    SERIAL,
+    UNIT_MAX,
+    address_key,
+)
 from motorhil.harness.rig.config.rig_file import Known, parse_rig, read_rig
 from motorhil.harness.rig.config.toml import RigError, Source
 from motorhil.harness.rig.recording import named_files
 from motorhil.traces.decoding.attached_rig import rig_in as rig_of
 from motorhil.traces.errors import TraceError
-from motorhil.traces.exchange.drive_kinds import CAN_KINDS
+from motorhil.traces.exchange.drive_kinds import CAN_KINDS, LINE_KINDS
 from motorhil.traces.exchange.recording import RecordedExchanges
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.mcap.records import Attachment
@@ -46,13 +53,13 @@ def with_recorded(
     """Return the rig with recorded controllers, and without its faults and stimuli.
 
     The effects of faults and stimuli are in the recording already. `set_points` is "exact", or
-    "any" if their values in PDOs may differ from the recorded ones. `places` gives, by controller,
-    its `recorded_bus` and `recorded_unit` where they differ from the rig's.
+    "any" if the values of set-points may differ from the recorded ones. `places` gives, by
+    controller, its `recorded_bus` and `recorded_unit` where they differ from the rig's.
 
     Raises:
         RigError: a controller is of a kind that no recording stands in for.
     """
-    controllers, others = {}, installed(DECODERS).keys() - CAN_KINDS
+    controllers, others = {}, installed(DECODERS).keys() - {*CAN_KINDS, *LINE_KINDS}
     for name, controller in description.controllers.items():
         if controller.kind in others:
             raise description.error(
@@ -69,9 +76,10 @@ def with_recorded(
         }
         if controller.node_id is not None:
             settings[address_key(bus)] = controller.node_id
+        if bus.kind in (CAN, SERIAL):
+            settings["set_points"] = set_points
         if bus.kind == CAN:
             settings["bitrate_bit_s"] = bus.bitrate_bit_s
-            settings["set_points"] = set_points
             chip = bus.nodes.get(name, PLAIN)
             if bus.data_bitrate_bit_s is not None and chip.frames is FrameSupport.FD:
                 settings["data_bitrate_bit_s"] = bus.data_bitrate_bit_s

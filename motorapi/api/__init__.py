@@ -11,7 +11,12 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.motorapi.api.can_drive import CanDrive, SignOfLife, checked_node
-from motorhil.motorapi.api.can_hardware import CanHardware, Estimate, StreamedCanHardware
+from motorhil.motorapi.api.can_hardware import (
+    CanHardware,
+    Estimate,
+    StreamedCanHardware,
+    texts_of,
+)
 from motorhil.motorapi.api.can_motor import (
     CanBuilder,
     CanMotor,
@@ -156,6 +161,7 @@ __all__ = [
     "require_time",
     "require_within",
     "text",
+    "texts_of",
     "wait_until",
     "whole",
     "whole_steps",

@@ -280,7 +280,7 @@ class PolledHardware(ABC, Generic[UnitT]):
     @final
     def _down(self, value: float) -> int:
         """Return the drive's number that does not exceed this value, but not 0."""
-        return max(1, min(self.NUMBER_MAX, floor(value * (1.0 + _ROUNDING_SHARE) + _ROUNDING)))
+        return max(1, min(self.NUMBER_MAX, toward_zero(value)))
 
     @final
     def _numbers(self, motion: "Motion", model: "MotorModel") -> Numbers:
@@ -442,7 +442,7 @@ def gear(model: "MotorModel") -> float:
 
 def toward_zero(value: float) -> int:
     """Return the nearest integer towards 0."""
-    size = floor(abs(value) + _ROUNDING)
+    size = floor(abs(value) * (1.0 + _ROUNDING_SHARE) + _ROUNDING)
     return size if value > 0 else -size
 
 

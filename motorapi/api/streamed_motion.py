@@ -147,7 +147,13 @@ class StreamedMotion:
         return value, rate
 
     def demand(self) -> tuple[float, float, float]:
-        """Return the demand of `variable` now, and two derivatives."""
+        """Return the demand of `variable` now, and two derivatives.
+
+        After an error that is the last set-point, which the drive keeps.
+        """
+        stream = self._stream
+        if stream is not None and stream.error is not None and stream.last is not None:
+            return stream.last, 0.0, 0.0
         at_s = min(self._elapsed_s(), self._course.duration_s)
         return self._course.value(at_s), *self._rates(at_s)
 

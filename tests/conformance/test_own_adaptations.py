@@ -89,7 +89,7 @@ NOT_APPLICABLE = {
             *("SET-05", "SYNC-05"),
         }
     ),
-    "vesc": _SAMPLED,
+    "vesc": _SAMPLED - {"LOW-03", "LOST-07"},
 }
 
 

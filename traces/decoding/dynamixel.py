@@ -14,6 +14,7 @@ from motorhil.traces.decoding.narrative import BusMessage
 from motorhil.traces.layout import Layout, Signal
 
 _HEADER: Final = b"\xff\xff\xfd\x00"
+_HEAD: Final = 7  # bytes up to the length
 _MARK: Final = _HEADER[:3]
 _STATUS: Final = 0x55
 _BROADCAST: Final = 0xFE
@@ -59,6 +60,36 @@ def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
     return _Servo(node_id).decode
 
 
+def unit_of(data: bytes) -> int:
+    """Return the id in a packet; 0 if these bytes do not begin one."""
+    return data[4] if data.startswith(_HEADER) and len(data) > 4 else 0
+
+
+@final
+class Packets:
+    """Bytes on a line, cut into packets."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the packets that these bytes complete.
+
+        A sender begins each packet anew: if these bytes begin with a header, the rest is dropped.
+        """
+        rest = data if data.startswith(_HEADER) else self._rest + data
+        found = list[bytes]()
+        while (place := rest.find(_HEADER)) >= 0:
+            rest = rest[place:]
+            end = _HEAD + int.from_bytes(rest[_HEAD - 2 : _HEAD], "little")
+            if len(rest) < max(end, _HEAD):
+                break
+            found.append(rest[:end])
+            rest = rest[end:]
+        self._rest = rest if place >= 0 else rest[1 - len(_HEADER) :]
+        return found
+
+
 @final
 class _Servo:
     """Record of the requests to one servo."""
@@ -82,8 +113,8 @@ class _Servo:
         length = int.from_bytes(data[5:7], "little")
         name = "Status" if instruction == _STATUS else _NAMES.get(instruction, "")
         name = name or f"Instruction_{instruction:02X}h"
-        if len(data) != 7 + length:
-            return BusMessage(name, problem=f"{len(data)} bytes; {7 + length} are announced")
+        if len(data) != _HEAD + length:
+            return BusMessage(name, problem=f"{len(data)} bytes; {_HEAD + length} are announced")
         if _crc16(data[:-2]) != data[-2:]:
             return BusMessage(name, problem="wrong CRC")
         parameters = data[8:-2].replace(_MARK + b"\xfd", _MARK)

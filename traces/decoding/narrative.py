@@ -30,6 +30,7 @@ from motorhil.traces.schema import (
     FrameDecoder,
     Level,
     LockAction,
+    direction_of,
 )
 
 PREAMBLE_NS: Final = 5_000_000_000
@@ -111,7 +112,7 @@ class Line:
         told: a sentence, or what gives it.
         said: the decoded content; None: not traffic.
         identifier: of a CAN frame; else None.
-        direction: of a CAN frame, if recorded.
+        direction: of a CAN frame, or of bytes on a serial line, if recorded.
         names: names of the motors and controllers concerned.
         values: the message's own fields; none for a CAN frame.
         message: the message by another description, which then gives the sentence.
@@ -277,8 +278,8 @@ class Story:
         text = data.hex(" ").upper() if message is None else str(message)
         text = f"a collision: {text}" if fields.get("spoiled") else text
         node = None if message is None else message.node
-        about = self._about(name, node)
-        return Line(time_ns, topic, name, text, names=about, message=message)
+        about, way = self._about(name, node), direction_of(fields)
+        return Line(time_ns, topic, name, text, names=about, direction=way, message=message)
 
     def _about(self, bus: str, node: int | None) -> tuple[str, ...]:
         """Return the motor and the controller of a node."""

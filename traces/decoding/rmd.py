@@ -11,6 +11,7 @@ from motorhil.traces.decoding.narrative import BusMessage
 from motorhil.traces.layout import Signal, layouts
 
 _REQUEST, _ANSWER, _ALL, _SETTING = 0x140, 0x240, 0x280, 0x300
+_IMPEDANCE, _IMPEDANCE_ANSWER = 0x400, 0x500  # motion mode
 _SINGLE: Final = "@1 temperature i8 C; current i16/100 A; speed i16 deg/s"
 _MOTION: Final = f"{_SINGLE}; angle i16 deg"
 _COMMANDS: Final = layouts(  # request | answer
@@ -55,6 +56,13 @@ F1 communication interrupted: |
 """,
     base=16,
 )
+_FORCES: Final = {  # of motion mode: bits, least and largest value, unit
+    "p": (16, -12.5, 12.5, "rad"),
+    "v": (12, -45.0, 45.0, "rad/s"),
+    "kp": (12, 0.0, 500.0, "N m/rad"),
+    "kd": (12, 0.0, 5.0, "N m s/rad"),
+    "t": (12, -24.0, 24.0, "N m"),
+}
 _ERRORS: Final = {
     **{0x0002: "stall", 0x0004: "under voltage", 0x0008: "over voltage", 0x0010: "over current"},
     **{0x0040: "power overrun", 0x0080: "calibration parameter writing", 0x0100: "over speed"},
@@ -70,6 +78,8 @@ def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
         if told.fd or told.can_id & (EFF | RTR | ERR) or not told.data:
             return None
         can_id, command = told.can_id & SFF_MASK, told.data[0]
+        if can_id in (_IMPEDANCE + node_id, _IMPEDANCE_ANSWER + node_id):
+            return _motion_mode(told.data, can_id == _IMPEDANCE_ANSWER + node_id)
         is_answer = can_id == _ANSWER + node_id
         if not is_answer and can_id not in (_REQUEST + node_id, _ALL, _SETTING):
             return None
@@ -92,3 +102,19 @@ def build(node_id: int) -> Callable[[bytes], BusMessage | None]:
         return BusMessage(name, tuple(signals))
 
     return decode
+
+
+def _motion_mode(data: bytes, is_answer: bool) -> BusMessage:
+    """Return a frame of motion mode: codes, the highest bits first; an answer has the ID before."""
+    name = "motion mode answered" if is_answer else "motion mode"
+    if len(data) != 8:
+        return BusMessage(name, problem=f"{len(data)} bytes; expected 8")
+    bits, left = int.from_bytes(data, "big"), 56 if is_answer else 64
+    signals = []
+    for one in ("p", "v", "t") if is_answer else _FORCES:
+        size, low, high, unit = _FORCES[one]
+        left -= size
+        code = bits >> left & ((1 << size) - 1)
+        value = low + code * (high - low) / ((1 << size) - 1)
+        signals.append(Signal(one, float(f"{value:.4g}"), unit))
+    return BusMessage(name, tuple(signals))

@@ -60,6 +60,8 @@ Decode = Callable[[bytes], BusMessage | None]
 
 
 CAN_KINDS: Final = ("mit", "robstride", "rmd", "moteus", "vesc")
+LINE_KINDS: Final = ("dynamixel",)
+"""Kinds on serial lines that are not Modbus lines."""
 
 
 def readers_of(kind: str, node: int, table: Mapping[str, object]) -> tuple[Decode, Read] | None:
@@ -170,7 +172,8 @@ def _rmd(frame: bytes, message: BusMessage) -> Told:
         restarts = name == "reset"
         return Told(may_ask=name, clears=restarts, quiet_s=_RESTART_S if restarts else 0.0)
     rests = name == "shutdown"
-    return Told(asks=name, reads=name in _RMD_READS, moves=name in _RMD_MOVES, rests=rests)
+    moves = name in _RMD_MOVES or (name == "motion mode" and _is_torque(_values(message)))
+    return Told(asks=name, reads=name in _RMD_READS, moves=moves, rests=rests)
 
 
 # ---- moteus

@@ -23,19 +23,27 @@ from typing import Final, NamedTuple, final
 
 from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.dynamixel import unit_of
 from motorhil.traces.decoding.events import DecodedEvent, Kind
 from motorhil.traces.decoding.modbus import ModbusDecoder
 from motorhil.traces.decoding.objects import axis_of
 from motorhil.traces.formats.modbus import Adu, recorded_adu
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.protobuf import decode
-from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, Direction, FrameDecoder
+from motorhil.traces.protobuf import Value, decode
+from motorhil.traces.schema import (
+    CAN_FRAME,
+    MODBUS_ADU,
+    SERIAL_DATA,
+    Direction,
+    FrameDecoder,
+    direction_of,
+)
 
 Subject = tuple[str, int, str]
 """Bus, node, and object or state."""
 
 ANSWER: Final = "answer"
-"""The subject of answers to requests (SDO, Modbus), each of which counts as a report."""
+"""The subject of answers to requests (SDO, lines), each of which counts as a report."""
 _RTU_REST: Final = 2  # bytes of a check sum
 _OBJECTS_AT: Final = 8  # in a read device identification answer
 STATUSWORD_MASK: Final = 0x346F
@@ -126,7 +134,7 @@ class HostSurvey:
     """A first look at a recording: directions, and the services of each node-ID.
 
     Attributes:
-        directions: the directions of frames on CAN buses.
+        directions: the directions of frames on CAN buses, and of bytes on serial lines.
     """
 
     def __init__(self) -> None:
@@ -237,12 +245,15 @@ def survey_of(trace: Trace) -> HostSurvey:
     """
     found, frames = HostSurvey(), FrameDecoder()
     for channel, _, payload in trace.messages():
-        if channel.schema is not None and channel.schema.name == CAN_FRAME.name:
-            try:
+        kind = channel.schema.name if channel.schema is not None else ""
+        try:
+            if kind == CAN_FRAME.name:
                 frame, direction, _ = frames.decode(payload)
-            except ValueError:  # an invalid message
-                continue
-            found.take(channel.topic.rpartition("/")[2], frame, direction)
+                found.take(channel.topic.rpartition("/")[2], frame, direction)
+            elif kind == SERIAL_DATA.name:
+                found.directions.add(direction_of(decode(SERIAL_DATA, payload)))
+        except ValueError:  # an invalid message
+            continue
     return found
 
 
@@ -344,6 +355,21 @@ class HostCutter:
             told = Told(adu.time_ns, (line, adu.unit, ANSWER), True, text)
             self._told.append((self._place, told))
 
+    def take_serial(self, line: str, fields: Mapping[str, Value]) -> None:
+        """Take the fields of a message: what one sender sent on a serial line without a pause."""
+        data, start_ns = fields.get("data", b""), fields.get("start_ns", 0)
+        end_ns, direction = fields.get("end_ns", 0), direction_of(fields)
+        assert isinstance(data, bytes)
+        assert isinstance(start_ns, int)
+        assert isinstance(end_ns, int)
+        self._place += 1
+        text = data.hex(" ").upper()
+        if direction is Direction.TRANSMITTED:
+            self._sent.append((self._place, HostStep(start_ns, end_ns, line, data, text)))
+        elif direction is Direction.RECEIVED and not fields.get("spoiled"):
+            told = Told(end_ns, (line, unit_of(data), ANSWER), True, text)
+            self._told.append((self._place, told))
+
     def steps(self) -> list[HostStep]:
         """Return the frames of the host, in the order in which they began."""
         steps = sorted(self._sent, key=_start_of)
@@ -420,6 +446,8 @@ def host_of(
                 if isinstance(adu, Adu):
                     text = lines.setdefault(place, ModbusDecoder()).decode(adu).text
                     cutter.take_adu(start_ns, place, data, adu, text)
+            elif kind == SERIAL_DATA.name:
+                cutter.take_serial(place, decode(SERIAL_DATA, payload))
         except ValueError:  # an invalid message
             continue
     return RecordedHost(cutter.steps(), cutter.unsent)

@@ -1,20 +1,21 @@
 """Exchange logs of all CANopen nodes, Modbus units and known drives in a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
 from motorhil.traces.decoding.attached_rig import RecordedNames, controllers_in, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
+from motorhil.traces.decoding.dynamixel import Packets
 from motorhil.traces.exchange.canopen import CanopenExchanges
-from motorhil.traces.exchange.drive_kinds import CAN_KINDS, readers_of
+from motorhil.traces.exchange.drive_kinds import CAN_KINDS, LINE_KINDS, readers_of
 from motorhil.traces.exchange.drives import DriveExchanges
 from motorhil.traces.exchange.modbus import LineAdu, modbus_logs
 from motorhil.traces.exchange.steps import ExchangeLog
 from motorhil.traces.formats.modbus import Adu, recorded_adu
 from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.protobuf import decode
-from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, FrameDecoder
+from motorhil.traces.protobuf import Value, decode
+from motorhil.traces.schema import CAN_FRAME, MODBUS_ADU, SERIAL_DATA, FrameDecoder
 
 _RUN: Final = "run"
 """Metadata of a rig; its time begins at 0, with power-on."""
@@ -56,7 +57,13 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
     buses: dict[str, CanopenExchanges] = {}
     lines: dict[str, list[LineAdu]] = {}
     tables = _drives_of(trace)
-    drives = _exchanges_of_drives(tables, names, begin_ns, any_set_point)
+    drives = _exchanges_of_drives(tables, CAN_KINDS, names, begin_ns, any_set_point)
+    own_lines = {
+        line: _Line(own)
+        for line, own in _exchanges_of_drives(
+            *(tables, LINE_KINDS, names, begin_ns, any_set_point)
+        ).items()
+    }
     frames = FrameDecoder()
     for channel, time_ns, payload in trace.messages():
         kind = channel.schema.name if channel.schema is not None else ""
@@ -81,6 +88,8 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
                     is_tcp = bool(values.get("tcp"))
                     one = LineAdu(time_ns, start_ns, end_ns, adu, is_tcp)
                     lines.setdefault(place, []).append(one)
+            elif kind == SERIAL_DATA.name and place in own_lines:
+                own_lines[place].take(decode(SERIAL_DATA, payload))
         except ValueError:  # an invalid message
             continue
     found: dict[tuple[str, int], ExchangeLog] = {}
@@ -88,6 +97,8 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
         found |= {(bus, number): log for number, log in cutter.logs().items()}
         logs = [one.finished() for one in drives.get(bus, ()) if one.has_sent]
         found |= {(bus, log.number): log for log in logs}
+    for line, on_line in own_lines.items():
+        found |= {(line, log.number): log for log in on_line.logs()}
     for line, adus in lines.items():
         units = modbus_logs(line, adus, begin_ns)
         found |= {(line, unit): log for unit, log in units.items()}
@@ -98,26 +109,56 @@ def exchanges_of(trace: Trace, any_set_point: bool = False) -> RecordedExchanges
 
 
 def _drives_of(trace: Trace) -> dict[tuple[str, int], Mapping[str, object]]:
-    """Return the tables of the drives on CAN buses that have a protocol of their own."""
-    tables = controllers_in(trace.attachments)
-    return {place: table for place, table in tables.items() if table.get("kind") in CAN_KINDS}
+    """Return the tables of the drives that have a protocol of their own."""
+    tables, kinds = controllers_in(trace.attachments), (*CAN_KINDS, *LINE_KINDS)
+    return {place: table for place, table in tables.items() if table.get("kind") in kinds}
 
 
 def _exchanges_of_drives(
     tables: Mapping[tuple[str, int], Mapping[str, object]],
+    kinds: Collection[str],
     names: RecordedNames,
     begin_ns: int,
     any_set_point: bool,
 ) -> dict[str, list[DriveExchanges]]:
-    """Return the logs to be built, by bus."""
+    """Return the logs to be built of drives of these kinds, by bus."""
     found: dict[str, list[DriveExchanges]] = {}
     for place, table in tables.items():
-        readers = readers_of(str(table["kind"]), place[1], table)
+        kind = str(table["kind"])
+        readers = readers_of(kind, place[1], table) if kind in kinds else None
         if readers is not None:
             name = names.nodes.get(place, "")
             log = DriveExchanges(place, name, readers, begin_ns, any_set_point)
             found.setdefault(place[0], []).append(log)
     return found
+
+
+@final
+class _Line:
+    """A serial line whose exchange logs are being built."""
+
+    def __init__(self, drives: list[DriveExchanges]) -> None:
+        self._drives = drives
+        self._packets: dict[str, Packets] = {}  # by sender
+
+    def take(self, values: Mapping[str, Value]) -> None:
+        """Take the fields of a message: what one sender sent without a pause."""
+        data, sender = values.get("data", b""), str(values.get("sender", ""))
+        start_ns, end_ns = values.get("start_ns", 0), values.get("end_ns", 0)
+        assert isinstance(data, bytes)
+        assert isinstance(start_ns, int)
+        assert isinstance(end_ns, int)
+        if values.get("spoiled"):
+            return
+        packets = self._packets.setdefault(sender, Packets()).feed(data)
+        for drive in self._drives:
+            # An answer is not cut: it may be a part, or the drive's block of a joint one.
+            for packet in [data] if sender == drive.name else packets:
+                drive.take_packet(start_ns, end_ns, packet, sender)
+
+    def logs(self) -> list[ExchangeLog]:
+        """Return the logs of the drives that have sent anything."""
+        return [drive.finished() for drive in self._drives if drive.has_sent]
 
 
 def _cutter(bus: str, begin_ns: int, names: RecordedNames, any_set_point: bool) -> CanopenExchanges:

@@ -30,7 +30,10 @@ _QUANTITIES: Final = (0x6062, 0x6064, 0x607A, 0x60FF, 0x6071, 0x60C1)
 """Motion that is compared: positions and set-points, but not measured velocities and currents."""
 POSITION_UNITS: Final = ("rad", "deg", "rev", "count", "pulses")
 """Units of described signals that are compared as motion; those of other units are measured."""
-_COUNTERS: Final = ("erpm", "tachometer")  # of a VESC: measured, without a unit
+_COUNTERS: Final = (  # measured, without a unit: of a VESC, of a Dynamixel
+    *("erpm", "tachometer"),
+    *("Present_PWM", "Present_Current"),
+)
 
 _ITEM_BYTES: Final = 250
 _SAMPLE_BYTES: Final = 20

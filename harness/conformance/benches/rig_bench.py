@@ -55,7 +55,7 @@ _STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by fr
     "moteus": lambda node: pack_fd(node, b"\1\0\0", BRS),  # mode 0, stopped
 }
 _SWITCHED: Final = (
-    *("mit", "robstride", "rmd", "dynamixel", "moteus"),
+    *("mit", "robstride", "rmd", "dynamixel", "moteus", "vesc"),
     *("leadshine_pr", "oriental_az"),
 )
 """Kinds of controllers whose stimulus `power` switches all of them off and on."""

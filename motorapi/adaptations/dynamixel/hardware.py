@@ -44,6 +44,7 @@ from motorhil.motorapi.api import (
     StateError,
     UnsupportedError,
     require_within,
+    texts_of,
 )
 
 if TYPE_CHECKING:
@@ -233,8 +234,9 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         self.connect(model)
         per_unit = self._per_unit(model)
         seen = self._seen = self.registers.read(_FROM, _UNTIL - _FROM)
-        is_on, self._hardware_error = bool(self._at(_TORQUE, 1)), self._at(70, 1)
-        fault = self._fault(bool(self._hardware_error) and not is_on, _ERRORS)
+        is_on, error = bool(self._at(_TORQUE, 1)), self._at(70, 1)
+        self._hardware_error = error
+        fault = self._fault(bool(error) and not is_on, {error: texts_of(error, _ERRORS)})
         is_stopped = self._at(_WATCHDOG, 1) == _TRIPPED
         profile_runs = bool(seen[123 - _FROM] & 2)
         demand_speed = self._at(_TRAJECTORY, 4)

@@ -77,6 +77,7 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
     ) -> None:
         super().__init__(ModbusUnit(line, unit, runtime, self, timeout_s))
         self._is_homed = False
+        self._is_on = False
         self._prepared: tuple[int, ...] = ()
         self._ramp_told = ((-1, 0), 0)  # `standing` at that time, and the ramp [ms]
         self._own_current: int | None = None  # of the drive, before the first write
@@ -114,6 +115,8 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
         position, demand, time_ns = self._read_positions(*places)
         speed = as_i32(0, registers.read(_SPEED, 2)[1])
         status = registers.read(_STATUS)[0]
+        if self._has_restarted(status):
+            return self.poll(model)
         if self._is_old(time_ns):
             position, demand, time_ns = self._read_positions(*places)
         self._is_homed = bool(status & _HOMED)
@@ -133,6 +136,18 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
         )
         return self._poll_of(told, model)
 
+    def _has_restarted(self, status: int) -> bool:
+        """Return whether the drive was switched off since it was on, in between two polls.
+
+        Its saved parameters count then.
+        """
+        was_on, self._is_on = self._is_on, bool(status & _ENABLED)
+        if not was_on or status & (_ENABLED | _FAULT):
+            return False
+        self._asked_at = (-1, 0)
+        self._ramp_told = self._current_told = ((-1, 0), 0)
+        return True
+
     def _read_alarm(self) -> int:
         return self.registers.read(_ALARM)[0]
 
@@ -149,13 +164,16 @@ class LeadshineHwMotor(PolledHardware[ModbusUnit]):
                 state=f"the drive does not follow (alarm {self._read_alarm():02X}h)",
                 remedy="reset_fault() first",
             )
+        self._is_on = True
 
     def disable(self) -> None:
         """Switch the motor current off."""
+        self._is_on = False
         self.registers.write(_ENABLE, 0)
 
     def reset_fault(self) -> None:
         """Reset the alarm, if its cause is gone."""
+        self._is_on = False
         self.registers.write(_ENABLE, 0)
         self.registers.write(_CONTROL, _RESET_ALARM)
 

@@ -15,6 +15,8 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import Final, NamedTuple, final
 
+from motorhil.motorapi.api import texts_of
+
 
 class Ranges(NamedTuple):
     """The largest position [rad], velocity [rad/s], torque [N m], kp and kd."""
@@ -90,9 +92,7 @@ class Maker(Enum):
 
     def text_of(self, code: int) -> str:
         """Return the text of a fault, or of several."""
-        texts = [self.faults[code]] if code in self.faults else []
-        texts = texts or [text for one, text in self.faults.items() if code & one]
-        return ", ".join(texts) or "unknown"
+        return self.faults.get(code) or texts_of(code, self.faults)
 
     def has_fault(self, code: int) -> bool:
         """Return whether its drives can report this; RobStride reports several by their sum."""
@@ -168,6 +168,10 @@ class Frames:
     def answers(self) -> Iterable[int]:
         """Return the identifiers of answers."""
         return (self.master_id,)
+
+    def more_answers(self, can_id: int) -> Iterable[int]:
+        """Return the identifiers of further answers, after a frame that shows another host."""
+        return ()
 
     def requests(self) -> Iterable[int]:
         """Return the identifiers of requests that are handled if other programs send them."""

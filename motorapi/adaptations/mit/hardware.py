@@ -2,7 +2,8 @@
 
 The drive has no profile generator and tells its state only in answers to commands. While this
 program controls the motor, it repeats a command every period: a motion, a stop, or a position to
-hold. Otherwise it sends a command to be limp, which only reads, and this only if no answer to
+hold. After an error of its stream that is the last set-point, until another program commands it.
+Otherwise it sends a command to be limp, which only reads, and this only if no answer to
 another program was heard for a while.
 
 The state "on" is in the answers of Damiao and RobStride. Other drives do not tell it: it follows
@@ -11,7 +12,7 @@ from the requests on the bus. A drive that nobody has switched on counts as off.
 
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -129,13 +130,16 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
         self._parameters: dict[int, float] = {}
         self._awaited: bytes | None = None  # the beginning of the answer to a reading
         self._life = drive.expect("answer", own.timeout_ms / 1e3, self._lose)
-        for can_id in self.frames.answers():
-            drive.handle(can_id, partial(self._on_answer, can_id))
+        self._handle(self.frames.answers())
         for can_id in self.frames.requests():
             drive.handle(can_id, partial(self._on_request, can_id))
         drive.every(own.period_ms / 1e3, self._beat)
         can_id, data = self.frames.command(LIMP)
         drive.starts_by(can_id, len(data))
+
+    def _handle(self, answers: Iterable[int]) -> None:
+        for can_id in answers:
+            self.drive.handle(can_id, partial(self._on_answer, can_id))
 
     def connect(self) -> None:
         """Wait until the drive is heard, and check its ranges as far as it tells them.
@@ -274,8 +278,6 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
             self._lose()
         elif self._is_asking or motions.is_going:
             return
-        elif motions.error is not None:
-            motions.variable = None  # another one has the motor
         elif motions.variable is not None or now_ns - self.time_ns >= self.options.quiet_ms * 1e6:
             with suppress(LinkError):
                 self._ask()
@@ -287,6 +289,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
                 self._parameters[data[3]] = struct.unpack_from("<f", data, 4)[0]
                 self._awaited = None
             return  # a repeated one is no position near the end of the range
+        self._handle(self.frames.more_answers(can_id))
         answer = self.frames.answer(can_id, data)
         if isinstance(answer, str):
             self._others.add(answer)
@@ -348,6 +351,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
 
     def _on_request(self, can_id: int, data: bytes, time_ns: int) -> None:
         """Handle a request of another program."""
+        self._handle(self.frames.more_answers(can_id))
         asked = self.frames.asked(can_id, data)
         if asked in (Special.ENTER, Special.LEAVE):
             self._is_on = asked is Special.ENTER

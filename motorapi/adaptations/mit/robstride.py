@@ -35,13 +35,24 @@ ROBSTRIDES: Final = {
 }
 _COMMAND, _FEEDBACK = 1 << 24, 2 << 24
 _TYPES: Final = {Special.ENTER: 3, Special.LEAVE: 4, Special.CLEAR: 4, Special.ZERO: 6}
+_WRITE: Final = 18
+_NAMING: Final = (3, 4, 6, _WRITE)  # types of requests that name their host
+_REFERENCES: Final = (0x7005, 0x7006, 0x700A, 0x7016)  # parameters: run mode, and what moves in it
 _RUN: Final = 2
 _FACTORY_HOST: Final = 0xFD
 
 
 @final
 class RobstrideFrames(Frames):
-    """The frames of one drive; `master_id` is the number of the host."""
+    """The frames of one drive; `master_id` is the number of the host.
+
+    Commands do not name their host: a drive answers the one whose request was the last, at first
+    the factory's. Answers to others are heard without faults, and with all once one has come.
+    """
+
+    def __init__(self, node_id: int, master_id: int, maker: Maker, ranges: Ranges) -> None:
+        super().__init__(node_id, master_id, maker, ranges)
+        self._hosts = dict.fromkeys((master_id, _FACTORY_HOST))
 
     def command(self, command: Command) -> tuple[int, bytes]:
         """Return the frame of a command."""
@@ -60,18 +71,25 @@ class RobstrideFrames(Frames):
         return self._id(_TYPES[special], self.master_id), bytes((first, 0, 0, 0, 0, 0, 0, 0))
 
     def answers(self) -> Iterable[int]:
-        """Return the identifiers of feedback: each mode, each set of faults, to two hosts.
-
-        Commands do not name their host: a drive answers the factory's until a request names one.
-        """
-        hosts = dict.fromkeys((self.master_id, _FACTORY_HOST))
+        """Return the identifiers of feedback: each mode, each set of faults, to known hosts."""
+        known = product(self._hosts, range(3), range(64))
+        unknown = (host for host in range(256) if host not in self._hosts)
+        others = product(unknown, range(3), (0,))
         place = _FEEDBACK | self.node_id << 8
-        states = product(hosts, range(3), range(64))
+        states = (*known, *others)
         return (place | mode << 22 | faults << 16 | host for host, mode, faults in states)
+
+    def more_answers(self, can_id: int) -> Iterable[int]:
+        """Return the identifiers of feedback to the host of a frame, if it was not known."""
+        host = can_id & 0xFF if can_id >> 24 == _FEEDBACK >> 24 else can_id >> 8 & 0xFF
+        if host in self._hosts:
+            return ()
+        self._hosts[host] = None
+        return self.answers()
 
     def requests(self) -> Iterable[int]:
         """Return the identifiers of requests of other hosts, except commands."""
-        return (self._id(kind, host) for kind, host in product((3, 4, 6), range(256)))
+        return (self._id(kind, host) for kind, host in product(_NAMING, range(256)))
 
     def answer(self, can_id: int, data: bytes) -> Answer | str:
         """Return the answer in a frame; in words, if it has the wrong length."""
@@ -84,6 +102,8 @@ class RobstrideFrames(Frames):
 
     def asked(self, can_id: int, data: bytes) -> Special | bool:
         """Return what a request asks for."""
+        if can_id >> 24 == _WRITE:
+            return int.from_bytes(data[:2], "little") in _REFERENCES
         return {3: Special.ENTER, 4: Special.LEAVE, 6: Special.ZERO}[can_id >> 24]
 
     def _id(self, kind: int, host: int) -> int:

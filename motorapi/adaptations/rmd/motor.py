@@ -50,6 +50,7 @@ from motorhil.motorapi.api import (
     output_sign,
     positive,
     text,
+    texts_of,
     whole,
 )
 
@@ -286,8 +287,7 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
             self._acceleration[data[1]] = _U32.unpack(data)[0]
         elif command == _STATUS_1:
             self.errors = errors = int.from_bytes(data[6:], "little")
-            named = [text for bit, text in ERRORS.items() if errors & bit]
-            self.see_fault(errors, ", ".join(named) or "unknown error", time_ns)
+            self.see_fault(errors, texts_of(errors, ERRORS), time_ns)
             self.mode = self._mode_asked
 
     def _on_foreign(self, data: bytes, time_ns: int) -> None:

@@ -19,8 +19,8 @@ in its status frames. So the host does three things at all times:
 
 The position combines the angle (STATUS_4, fine, of few turns) and the tachometer (STATUS_5, coarse,
 of all turns since power-on). At power-on it is 0 to a span of angles. A loss of frames does not
-change the position at power-on; a restart does. The tachometer or a notice of the drive tells which
-it was.
+change the position at power-on; a restart does. The tachometer tells which it was, or the counter
+of all ways since power-on, for which the host asks after a gap, or a notice of the drive.
 
 After those, the position is told once the motor rests: while it turns, an angle that comes late is
 not of the same time as the tachometer.
@@ -86,6 +86,7 @@ _FILL, _PROCESS, _SHORT = 5, 7, 8
 _FW_VERSION, _SELECTIVE, _ALIVE = 0, 50, 30
 _VERSION_BYTES: Final = 3  # at least: packet, major, minor
 _FAULT_MASK: Final = bytes((_SELECTIVE, 0, 0, 0x80, 0))
+_WAY_MASK: Final = bytes((_SELECTIVE, 0, 0, 0x40, 0))  # the tachometer of all ways
 _COMMANDS: Final = (*range(5), *range(10, 14))  # that move or stop the motor
 _MOVING: Final = (*range(5, 11), 29, 84, 159)  # packets that move or stop the motor
 _ERPM: Final = Struct(">i4x")
@@ -95,11 +96,14 @@ _VALUE: Final = Struct(">i")
 _STATUS_S: Final = 0.01  # least usual period of the status frames
 _PACKET_S: Final = 0.025  # of ALIVE, and of asking for the fault, in turns
 _NEAR: Final = 0.05  # turns: a position so little below a span is one below 0
+_LEAST_WAY: Final = 1.0  # turns by which the counter of all ways must be less after a restart
 _JUMP: Final = 0.5  # turns by which two tachometers in succession disagree with the velocity
 _FOLLOW_MAX: Final = 0.45  # of the span of positions: at 0.5 the shorter way is the wrong one
 _ANSWER_S: Final = 0.2
 _SILENCE_S: Final = 0.5  # without an answer: the drive does not hear the host
 _BOOTED_NS: Final = 1_000_000_000
+_NOTICE_NS: Final = 480_000_000  # the least time from a start to its notice
+_GAP_NS: Final = 40_000_000  # without STATUS, and twice its period before
 _LATE_NS: Final = 400_000_000  # an angle so late and a tachometer in time are not of one position
 _ERPM_MAX: Final = 2**31 - 1
 _SPAN_MAX: Final = 0.4  # of a turn of positions, within the lead and period of a stream
@@ -194,10 +198,13 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         self._angle_ns = 0
         self._power_on: float | None = None  # position at power-on [turns], 0 to a span
         self._tachometer = (0.0, 0.0, 0)  # the last one [turns], velocity then, time [ns]
+        self._way = 0.0  # all ways since the position at power-on is known, at least [turns]
         self._is_kept = False  # whether the position at power-on is from before the last loss
         self._rested: tuple[float, float, int] | None = None  # angle, turns [turns], since [ns]
         self._packet = b""
         self._since_ns = 0  # first frame since the drive was lost
+        self._status_ns = self._period_ns = 0  # of the last STATUS
+        self._gap_ns = 0  # last first STATUS after a gap
         self._asks = self._is_known = False  # whether it was connected once
         self._feeds = False  # whether this program was the last to command the drive
         self._life, self._angles, self._counts = (
@@ -348,8 +355,14 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     def _on_status(self, data: bytes, time_ns: int) -> None:
         if len(data) == _ERPM.size:
             self._velocity = _ERPM.unpack(data)[0] / (60.0 * self.options.pole_pairs)
+            elapsed_ns = time_ns - self._status_ns
             if self._life.came(time_ns):
                 self._since_ns = time_ns
+            elif elapsed_ns > max(_GAP_NS, 2 * self._period_ns):
+                self._gap_ns = time_ns
+                with suppress(LinkError):
+                    self._ask(_WAY_MASK)
+            self._status_ns, self._period_ns = time_ns, elapsed_ns
 
     def _on_angle(self, data: bytes, time_ns: int) -> None:
         if len(data) == _ANGLE.size:
@@ -379,6 +392,8 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
             power_on = (offset + _NEAR) % span - _NEAR
             self._power_on = power_on
             self._is_kept = False
+        if self.estimate is not None:
+            self._way += abs(turns - self._tachometer[0])
         self._tachometer = turns, velocity, time_ns
         position = angle + span * round((power_on + turns - angle) / span)
         before = self.estimate
@@ -435,8 +450,12 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         self.see_fault(code, problem, self.drive.runtime.now_ns())
 
     def _on_boot(self, data: bytes, time_ns: int) -> None:
-        """Note a restart; the notice of a start comes half a second after the first frames."""
-        if time_ns - self._since_ns > _BOOTED_NS or self._is_kept:
+        """Note a restart; the notice of a start comes half a second after the first frames.
+
+        So a drive that was heard before a gap, half a second ago or earlier, started in that gap.
+        """
+        has_gap = self._since_ns < self._gap_ns <= time_ns - _NOTICE_NS
+        if has_gap or time_ns - self._since_ns > _BOOTED_NS or self._is_kept:
             self._restart()
 
     def _on_answer(self, data: bytes, time_ns: int) -> None:
@@ -458,8 +477,15 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
         packet, self._packet = self._packet, b""
         told = int.from_bytes(data[2:4], "big"), int.from_bytes(data[4:6], "big")
         is_whole = told == (len(packet), crc_hqx(packet, 0)) and len(packet) >= _VERSION_BYTES
-        if data[:1] == bytes((self.node_id,)) and is_whole and packet[0] == _FW_VERSION:
+        if data[:1] != bytes((self.node_id,)) or not is_whole:
+            return
+        if packet[0] == _FW_VERSION:
             self._firmware = packet[1], packet[2]
+        elif packet[: len(_WAY_MASK)] == _WAY_MASK and self.estimate is not None:
+            way = int.from_bytes(packet[len(_WAY_MASK) :], "big") / (6.0 * self.options.pole_pairs)
+            if way < self._way - _LEAST_WAY:
+                self._restart()
+                self._since_ns = time_ns
 
     # --- frames of other programs
 
@@ -486,6 +512,7 @@ class VescHwMotor(StreamedCanHardware[VescOptions]):
     def _restart(self) -> None:
         """Forget also what began anew with the drive."""
         self._power_on = None
+        self._way = 0.0
         self._lose()
 
 

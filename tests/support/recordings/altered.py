@@ -24,6 +24,6 @@ def traffic(path, topic=None):
     found = {}
     with read_trace(path) as trace:
         for channel, time_ns, payload in trace.messages():
-            if channel.topic.startswith(("/can/", "/modbus/")):
+            if channel.topic.startswith(("/can/", "/modbus/", "/serial/")):
                 found.setdefault(channel.topic, []).append((time_ns, payload))
     return found if topic is None else found[topic]

@@ -159,6 +159,80 @@ def test_drive_in_the_state_of_the_manual_has_its_answer(
     assert rmd.told(request_data) == answer
 
 
+GOLDEN_MOTION = "E66682E052333B55"  # 9.99 rad, 1.021 rad/s, 10.012, 1, 10.004 N m (5)
+
+
+def test_motion_mode_in_the_state_of_the_manual_has_its_answer(rmd, monkeypatch):
+    """The answer's codes: p E665h, v 82Eh, t B55h; the drive is in the middle of each."""
+    inc_rad = TURN / tau
+    told = {
+        "count": ((0xE665 + 0.5) * 25 / 65535 - 12.5) * inc_rad,
+        "velocity_inc_s": ((0x82E + 0.5) * 90 / 4095 - 45) * inc_rad,
+        "torque_n_m": (0xB55 + 0.5) * 48 / 4095 - 24,
+    }
+    for name, value in told.items():
+        monkeypatch.setattr(rmd.drive.axis, name, lambda value=value: value)
+    assert rmd.ask(GOLDEN_MOTION, 0x401) == (0x501, "01e66582eb550000")
+
+
+def motion(p=0x8000, v=0x800, kp=0, kd=0, t=0x800):
+    """Return a request of motion mode, by its codes."""
+    return f"{p:04X}{v:03X}{kp:03X}{kd:03X}{t:03X}"
+
+
+def test_motion_mode_pulls_to_its_position_with_its_stiffness(rmd):
+    one_rad = round((1.0 + 12.5) * 65535 / 25)
+    rmd.ask(motion(p=one_rad, kp=0x333, kd=0x600), 0x401)  # 100 N m/rad
+    rmd.run(1500)
+    assert rmd.true("position_rad") == pytest.approx(1.0, abs=0.02)  # friction holds it off
+    rmd.stimulate("load_torque_n_m", 5.0)
+    rmd.run(1500)
+    assert rmd.true("position_rad") == pytest.approx(1.0 - 5.0 / 100.0, abs=0.02)
+    assert rmd.told("7000000000000000")[-2:] == "01"
+
+
+def test_motion_mode_without_gains_is_a_torque(rmd):
+    rmd.ask(motion(t=round((3.0 + 24) * 4095 / 48)), 0x401)
+    rmd.run(20)
+    torque = int(rmd.ask(motion(t=round((3.0 + 24) * 4095 / 48)), 0x401)[1][9:12], 16)
+    # The motor gathers speed, and its current lags a little.
+    assert torque * 48 / 4095 - 24 == pytest.approx(3.0, abs=0.1)
+    assert rmd.true("velocity_rad_s") > 0.0
+
+
+def test_angle_of_motion_mode_turns_over_at_its_ends():
+    """13 rad is -12 rad there, for the answer as for the demand (field reports of jumps)."""
+    rmd = at(13.0 / tau * 360)
+    here = round((13.0 - 25.0 + 12.5) * 65535 / 25)
+    _, answer = rmd.ask(motion(p=here, kp=0x333, kd=0x600), 0x401)
+    assert int(answer[2:6], 16) == pytest.approx(here, abs=1)
+    rmd.run(500)
+    assert rmd.true("position_rad") == pytest.approx(13.0, abs=0.01)
+
+
+def test_motion_mode_is_obeyed_without_a_fault_only(rmd):
+    rmd.stimulate("fault", 0x0002)
+    can_id, _ = rmd.ask(motion(kp=0x333), 0x401)
+    assert can_id == 0x501
+    assert rmd.true("mode") == NONE
+
+
+def test_motion_mode_of_another_drive_is_not_heard(rmd):
+    assert rmd.ask(motion(kp=0x333), 0x402) is None
+    assert rmd.true("mode") == NONE
+
+
+def test_first_frame_of_motion_mode_after_an_interruption_comes_back():
+    rmd = Rmd(interruption_ms=20)
+    rmd.ask(motion(kp=0x333), 0x401)
+    rmd.run(50)
+    assert rmd.true("mode") == NONE
+    assert rmd.ask(motion(kp=0x333), 0x401) == (0x501, motion(kp=0x333).lower())
+    assert rmd.true("mode") == NONE
+    assert rmd.ask(motion(kp=0x333), 0x401)[1][:2] == "01"
+    assert rmd.true("mode") == CURRENT
+
+
 @pytest.mark.parametrize(
     ("request_data", "mode"),
     [

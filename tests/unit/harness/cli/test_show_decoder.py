@@ -104,6 +104,16 @@ def test_kind_in_the_rig_finds_its_decoder(record, say):
     assert "Speed" not in said[1]  # another node
 
 
+def test_kind_of_a_plugin_with_a_protocol_of_its_own_is_not_replayed(record, say, bench):
+    (bench / "app.py").write_text("raise AssertionError('it ran')\n")
+    path = record("echo", RIG.partition("[motor.")[0])
+    for words in (("replay", path, "--as", "device", "app.py"), ("run", path, "app.py")):
+        status, _, err = say(*words)
+        assert status == 2
+        assert 'no recording stands in for "echo"' in err
+        assert "--as host" in err
+
+
 def test_described_frames_belong_to_node_and_motor(record, say):
     path = record("echo")
     for words in (("--node", "1", "--bus", "can0"), ("--motor", "front")):

@@ -62,6 +62,18 @@ MOTION = "temperature = 50 C, current = 1 A, speed = 500 deg/s, angle = 45 deg"
         (0x280, "8000000000000000", "shutdown to all"),
         (0x300, "7900000000000002", "CAN ID: read = 0, ID = 2"),
         (0x241, "F100000000000000", "communication interrupted"),
+        (  # the text of the manual has 9.99 rad, 1.021 rad/s, 10.012, 1, 10.004 N m
+            0x401,
+            "E66682E052333B55",
+            "motion mode: p = 10 rad, v = 1.022 rad/s, kp = 10.01 N m/rad, kd = 1 N m s/rad,"
+            " t = 10 N m",
+        ),
+        (
+            0x501,
+            "01E66582EB550000",
+            "motion mode answered: p = 10 rad, v = 1.022 rad/s, t = 10 N m",
+        ),
+        (0x401, "E666", "motion mode: not decodable: 2 bytes; expected 8"),
         (0x141, "9C00", "status 2: not decodable: 2 bytes; expected 8"),
     ],
 )
@@ -69,6 +81,6 @@ def test_frame_of_rmd_is_told_in_words(can_id, data, text):
     assert str(DECODE(classic(can_id, bytes.fromhex(data)))) == text
 
 
-@pytest.mark.parametrize("can_id", [0x142, 0x242, EFF | 0x141, 0x401])
+@pytest.mark.parametrize("can_id", [0x142, 0x242, EFF | 0x141, 0x402, 0x502])
 def test_frame_of_others_is_left_alone(can_id):
     assert DECODE(classic(can_id, bytes.fromhex("9C00000000000000"))) is None

@@ -17,6 +17,7 @@ from motorhil.motorapi import (
     StateError,
     UnsupportedError,
 )
+from motorhil.motorapi.motion import Motion
 from tests.support.kit_benches import RIGS
 
 TEXT = (RIGS / "dryve.toml").read_text()
@@ -217,6 +218,23 @@ def test_drive_without_known_scale_is_refused(objects, text):
     rig_text = TEXT.replace(ROTARY, f"objects = {objects}")
     with opened(rig_text) as rig, pytest.raises(PeerError, match=text):
         rig.motors["left"].enable()
+
+
+def test_velocity_that_is_rounded_twice_loses_no_step():
+    """Steps of a millionth of a degree: beyond 4 million steps a double has few digits left."""
+    with opened(f"{TEXT.replace(ROTARY, 'objects = { 60A8 = 0xFA41_0000 }')}") as rig:
+        motor = rig.motors["left"]
+        motor.position()  # connects
+        hardware, model = motor.hardware, motor.model
+        limits = {"velocity": 1.0, "acceleration": 1.0, "deceleration": 1.0}
+        changed = []
+        for number in range(200):
+            place = {"start": 0.0, "target": 0.5 + number / 173.0}
+            motion = Motion(ControlMode.SETPOINT, ControlVariable.VELOCITY, **place, **limits)
+            once = hardware.quantised(motion, model)
+            if hardware.quantised(once, model) != once:
+                changed.append(once.target)
+    assert changed == []
 
 
 def test_velocity_beyond_32_bits_is_refused():

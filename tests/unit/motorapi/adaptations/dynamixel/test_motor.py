@@ -171,6 +171,12 @@ def test_velocity_mode_runs_and_stops():
         assert abs(left.velocity()) < 0.06
 
 
+def test_errors_that_come_together_are_all_told(rig):
+    rig.motors["left"].enable()
+    rig.controllers["left"].stimulate("fault", 0x24)  # register 70: bits 2 and 5
+    assert "overheating, overload" in repr(rig.motors["left"].fault())
+
+
 def test_servo_is_referenced_without_homing(rig):
     assert rig.motors["left"].is_referenced()  # its encoder is absolute
 

@@ -23,6 +23,7 @@ from motorhil.motorapi import (
     LimitError,
     LinkError,
     MotionInterrupted,
+    MotorBusyError,
     MotorState,
     PeerError,
     TrapezoidalTrajectory,
@@ -30,6 +31,7 @@ from motorhil.motorapi import (
 )
 from motorhil.motorapi.adaptations.mit.frames import MODELS, Command, Frames, Maker, Ranges
 from motorhil.motorapi.adaptations.mit.hardware import LIMP
+from motorhil.motorapi.motion import Motion
 from tests.support.kit_benches import RIGS
 
 EMULATED = {name: tuple(ranges) for name, (_, ranges) in EMULATED_MODELS.items()}
@@ -398,6 +400,62 @@ def test_motion_that_is_refused_is_not_kept():
         assert hardware.present() == LIMP
 
 
+def motion_to(target):
+    """Return a motion in units of the drive."""
+    limits = {"velocity": 2.0, "acceleration": 8.0, "deceleration": 8.0}
+    place = {"start": 0.0, "target": target}
+    return Motion(ControlMode.SETPOINT, ControlVariable.POSITION, **place, **limits)
+
+
+def test_motor_is_held_and_heard_after_an_error_of_its_stream():
+    """The error is told until the next motion; the motor holds where the stream has ended."""
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.home(37)
+        hardware, end_ns = motor.hardware, rig.runtime.now_ns() + 500_000_000
+
+        def send(value, fence):
+            if rig.runtime.now_ns() > end_ns:
+                raise LinkError(link="can0", reason="it takes no frame")
+            return hardware.send(ControlVariable.POSITION, value, fence)
+
+        hardware.motions.start(motion_to(3.0), 1.0, hardware.measured(), send)
+        rig.runtime.run_for(0.6)
+        stopped_at = hardware.motions.demand()[0]
+        assert 0.5 < stopped_at < 1.5
+        rig.runtime.run_for(1.0)
+        assert "it takes no frame" in str(hardware.motions.error)
+        assert motor.state() is MotorState.ENABLED
+        assert motor.is_referenced()
+        assert motor.position() == pytest.approx(stopped_at, abs=0.01)
+        assert true(rig) == pytest.approx(stopped_at, abs=0.01)
+        go_to(motor, 2.0)
+        assert hardware.motions.error is None
+        motor.wait_until_done(timeout_s=3)
+        assert true(rig) == pytest.approx(2.0, abs=0.01)
+
+
+def test_other_program_ends_the_holding_after_an_error():
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        hardware = motor.hardware
+
+        def send(value, fence):
+            if hardware.motions.is_going:
+                raise MotorBusyError(motor="left", holder="another program", since_ns=0)
+            return hardware.send(ControlVariable.POSITION, value, fence)
+
+        hardware.motions.start(motion_to(3.0), 1.0, hardware.measured(), send)
+        rig.runtime.run_for(0.2)
+        assert isinstance(hardware.motions.error, MotorBusyError)
+        assert true(rig, "command_kp_n_m_rad") > 0.0
+        frames(rig, 0.0, sent=b"\xff" * 7 + b"\xfd")
+        rig.runtime.run_for(0.2)
+        assert hardware.present() == LIMP
+        assert motor.state() is MotorState.DISABLED
+
+
 def test_reader_does_not_disturb_another_program():
     """Check that a reader stays silent while it hears answers to others."""
     with opened() as rig:
@@ -431,6 +489,48 @@ def test_drive_that_knows_no_host_is_heard_by_any():
         rig.controllers["left"].stimulate("power", 1.0)
         rig.runtime.run_for(0.3)
         assert motor.state() is MotorState.DISABLED
+
+
+THIRD_HOST = {  # 11h writes 7017h, the speed limit of position mode: 2.0
+    "arbitration_id": 0x12001101,
+    "data": bytes.fromhex("1770000000000040"),
+}
+
+
+def test_drive_that_answers_a_third_host_is_found_and_heard():
+    """Commands do not name their host: they are answered to that of the last request."""
+    with opened("rs01") as rig, can.Bus(interface="emulated", channel="can0") as bus:
+        motor = rig.motors["left"]
+        rig.runtime.run_for(0.2)  # it boots
+        bus.send(can.Message(**THIRD_HOST))
+        rig.runtime.run_for(0.2)
+        assert motor.position() == pytest.approx(0.0, abs=0.001)
+        rig.controllers["left"].stimulate("fault", 2)  # told to that host, too
+        rig.runtime.run_for(0.05)
+        assert "over current" in repr(motor.fault())
+
+
+def test_drive_that_answers_a_third_host_goes_on_in_a_motion():
+    with opened("rs01") as rig, can.Bus(interface="emulated", channel="can0") as bus:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 2.0)
+        rig.runtime.run_for(0.2)
+        bus.send(can.Message(**THIRD_HOST))
+        motor.wait_until_done(timeout_s=3)
+        assert true(rig) == pytest.approx(2.0, abs=0.01)
+
+
+def test_reference_that_a_third_host_writes_interrupts():
+    with opened("rs01") as rig, can.Bus(interface="emulated", channel="can0") as bus:
+        motor = rig.motors["left"]
+        motor.enable()
+        go_to(motor, 2.0)
+        rig.runtime.run_for(0.2)
+        speed = bytes.fromhex("0A7000000000803F")  # 700Ah: 1.0 rad/s
+        bus.send(can.Message(arbitration_id=0x12001101, data=speed))
+        with pytest.raises(MotionInterrupted, match="another program"):
+            motor.wait_until_done(timeout_s=3)
 
 
 def test_answers_of_another_motor_are_named():

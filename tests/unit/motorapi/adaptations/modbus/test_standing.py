@@ -104,7 +104,6 @@ def test_drive_after_power_loss_is_not_enabled(rig, has_moved):
     assert mast.state() is MotorState.ENABLED
 
 
-@pytest.mark.parametrize("adaptation", ["oriental_az"])
 @pytest.mark.parametrize("has_moved", [True, False])
 def test_power_loss_without_a_request_is_noticed(rig, adaptation, has_moved):
     mast = rig.motors["mast"]
@@ -147,11 +146,17 @@ def test_drive_after_a_lost_line_is_still_enabled(rig, has_moved):
 
 
 @pytest.mark.parametrize("adaptation", ["leadshine"])
-def test_stop_ramp_is_written_again_after_power_loss(rig):
+@pytest.mark.parametrize("has_request", [True, False])
+def test_stop_ramp_is_written_again_after_power_loss(rig, has_request):
     mast = rig.motors["mast"]
     go_to(mast, 0.1)
     told = mast.hardware.registers.read(QUICK_RAMP)
-    cut_power(rig)
+    if has_request:
+        cut_power(rig)
+    else:
+        for power in (0, 1):
+            rig.controllers["mast"].stimulate("power", power)
+        run_s(rig, 2.0)
     assert mast.hardware.registers.read(QUICK_RAMP) != told
     go_to(mast, 0.2)
     assert mast.hardware.registers.read(QUICK_RAMP) == told

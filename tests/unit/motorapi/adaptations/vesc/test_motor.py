@@ -416,6 +416,54 @@ def test_restart_at_the_place_of_power_on_is_told_by_the_boot_notice():
         assert motor.state() is not MotorState.ENABLED
 
 
+def test_restart_at_the_place_of_power_on_is_told_by_the_ways_before():
+    """After a way and back the tachometer is 0, with or without a restart; all ways are not."""
+    with opened() as rig:
+        motor = rig.motors["left"]
+        for target in (0.3, 0.0):
+            go_to(motor, target)
+            motor.wait_until_done(timeout_s=5)
+        rig.faults.inject("can0", FaultRule("gap", FaultKind.DROP, sender="left", limit=12))
+        rig.runtime.run_for(0.3)
+        assert motor.state() is MotorState.ENABLED  # a gap alone is no restart
+        rig.controllers["left"].stimulate("power", 0)
+        rig.runtime.run_for(0.05)
+        rig.controllers["left"].stimulate("power", 1)
+        rig.runtime.run_for(0.05)
+        assert motor.hardware.motions.variable is None
+        rig.runtime.run_for(1.0)
+        go_to(motor, 0.2)  # the notice of that start ends nothing
+        motor.wait_until_done(timeout_s=5)
+        assert true(rig) == pytest.approx(0.2, abs=0.01)
+
+
+def test_restart_soon_after_the_first_start_is_told_by_its_notice():
+    """The first notice never comes; the second one is within 1 s of the first frames."""
+    with opened() as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        rig.runtime.run_for(0.3)
+        rig.controllers["left"].stimulate("power", 0)
+        rig.runtime.run_for(0.05)
+        rig.controllers["left"].stimulate("power", 1)
+        rig.runtime.run_for(0.48)
+        assert motor.state() is MotorState.ENABLED  # nothing tells it yet
+        rig.runtime.run_for(0.1)
+        assert motor.state() is not MotorState.ENABLED
+
+
+@pytest.mark.parametrize(("from_ms", "to_ms"), [(50, 100), (100, 250), (350, 495)])
+def test_notice_of_the_first_start_after_a_pause_is_no_restart(from_ms, to_ms):
+    with opened() as rig:
+        motor = rig.motors["left"]
+        times = {"from_ns": from_ms * 1_000_000, "until_ns": to_ms * 1_000_000}
+        rig.faults.inject("can0", FaultRule("pause", FaultKind.DROP, sender="left", **times))
+        motor.enable()
+        rig.runtime.run_for(1.5)
+        assert motor.state() is MotorState.ENABLED
+        assert motor.hardware.motions.variable is not None
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_position_survives_lost_frames_in_motion(seed):
     """An angle of before the loss, beside a tachometer of after it, once told a span too much."""

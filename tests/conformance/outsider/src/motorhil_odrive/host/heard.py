@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
-from motorhil.motorapi.api import Fault
+from motorhil.motorapi.api import Estimate, Fault, texts_of
 
 from motorhil_odrive.host import messages as m
 
@@ -26,20 +26,12 @@ class Heartbeat(NamedTuple):
     time_ns: int
 
 
-class Estimate(NamedTuple):
-    """Position [rev], velocity [rev/s] and their time on the bus [ns]."""
-
-    position: float
-    velocity: float
-    time_ns: int
-
-
 @final
 class Heard:
     """The received messages of one drive; written by frame handlers only.
 
     Attributes:
-        heartbeat, estimate: the last ones, or None.
+        heartbeat, estimate: the last ones, or None; in turns of the motor.
         version: the drive's versions, with the protocol's first; None: not received yet.
         answers: the last values of other messages, by command.
         is_homed: whether its position 0 is known; False after a loss, as it may have booted.
@@ -85,7 +77,9 @@ class Heard:
         heartbeat = self.heartbeat
         if heartbeat is None or not heartbeat.error:
             return None
-        return Fault(heartbeat.error, m.error_text(heartbeat.error), self._fault_since_ns)
+        return Fault(
+            heartbeat.error, texts_of(heartbeat.error, m.ERROR_TEXTS), self._fault_since_ns
+        )
 
     def at(self, now_ns: int, acceleration_max: float) -> tuple[float, float]:
         """Return position [rev] and velocity [rev/s] now, from the last two estimates."""

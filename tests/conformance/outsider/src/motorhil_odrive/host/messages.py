@@ -138,11 +138,6 @@ ERROR_TEXTS: Final = {
 }
 
 
-def error_text(bits: int) -> str:
-    """Return the text of an error's bits."""
-    return ", ".join(text for bit, text in ERROR_TEXTS.items() if bits & bit) or "unknown error"
-
-
 def result_text(result: int) -> str:
     """Return the text of a procedure's result."""
     return RESULTS[result] if result < len(RESULTS) else f"result {result}"

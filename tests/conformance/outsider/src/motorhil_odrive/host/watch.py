@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil_odrive.host.messages import HOMING, result_text
 
 if TYPE_CHECKING:
-    from motorhil.motorapi.api import SentFrame
+    from motorhil.motorapi.api import Estimate, SentFrame
 
-    from motorhil_odrive.host.heard import Estimate, Heartbeat
+    from motorhil_odrive.host.heard import Heartbeat
 
 _ENOUGH: Final = 2
 _STILL: Final = 3  # estimates in a row
