@@ -116,6 +116,11 @@ class BusSegment(Segment):
         """Return the number of frames of this port that are not yet sent."""
         return self.bus.pending(port)
 
+    def hosts_pending(self) -> int:
+        """Return the number of frames of hosts that are not yet sent, also of closed ones."""
+        hosts = (one for one in self._by_port if not isinstance(one, ControllerSlot))
+        return sum(self.bus.pending(one.port) for one in hosts)
+
     def forget_routes(self) -> None:
         """Rebuild the routes because a controller listens to other identifiers."""
         self._routes_valid = False

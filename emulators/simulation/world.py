@@ -68,6 +68,10 @@ class World(Overseer):
         """Return the bus's core, for its statistics and its faults."""
         return self._segments[name].bus
 
+    def hosts_pending(self) -> int:
+        """Return the number of frames of hosts on all buses that are not yet sent."""
+        return sum(segment.hosts_pending() for segment in self._segments.values())
+
     def bus_names(self) -> list[str]:
         """Return the names of the buses in the order of adding."""
         return list(self._segments)

@@ -211,6 +211,7 @@ def run_script(rig: "Rig", script: Script, words: Sequence[str]) -> int:
         try:
             status = _run(rig, script, main)
             threads.join()
+            rig.send_queued()
         finally:
             handlers.run(lambda error: print_error(error, script.name))
     return status or int(threads.failed)

@@ -634,6 +634,13 @@ class Rig:
         logical = [getattr(motor, "logical", None) for motor in self._made.values()]
         return [text for one in logical if one is not None and (text := one.forgotten())]
 
+    def send_queued(self) -> None:
+        """Let time pass until frames that programs have queued are sent, for up to 1 s.
+
+        The kernel sends them also after the end of a program.
+        """
+        self.runtime.wait_until(lambda: not self.world.hosts_pending(), timeout_s=1.0)
+
     def close(self) -> None:
         """End all parties, close motors and buses, and complete the record."""
         with self._cleanup, self._in_use:

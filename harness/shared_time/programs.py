@@ -170,6 +170,7 @@ def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
             raise
         except UsageError:  # all wait for one another: each program tells it, and ends
             rig.runtime.wait_for_parties(clock.are_gone)
+        rig.send_queued()
         for one in processes.values():
             if not one.description.joins:
                 one.end()

@@ -441,6 +441,8 @@ EXPORT int bind(int fd, const struct sockaddr *address, socklen_t size)
 EXPORT int connect(int fd, const struct sockaddr *address, socklen_t size)
 {
     int result;
+    bool is_local = address && size >= sizeof address->sa_family && address->sa_family == AF_UNIX;
+    if (is_local && in_rig() && rig.state == AWAITING) join_rig(); /* the other end may be there */
     if (connect_line(fd, address, size, &result)) return result;
     return is_can(fd) ? failed(EOPNOTSUPP) : REAL(connect)(fd, address, size);
 }

@@ -52,7 +52,8 @@ enum state {
     LEFT,  /* the program ends */
     CHILD, /* a forked child: it has the wall's time */
 };
-enum { ON_PARTIES = 1, CANCELLABLE = 256 }; /* flags of a wait; the first is the rig's */
+/* Flags of a wait; the first two are the rig's. */
+enum { ON_PARTIES = 1, ON_PROCESSES = 2, CANCELLABLE = 256 };
 enum result { EXPIRED = 0, HOLDS = 1, REFUSED = 2, INTERRUPTED = 3 };
 
 struct wait;

@@ -374,7 +374,8 @@ void begin_wait(struct wait *wait, int64_t deadline_ns, int flags)
     wait->is_cancellable = flags & CANCELLABLE;
     bool is_deaf = flags & ON_PARTIES || wait->holds == never;
     struct waiting record = {RECORD_WAIT, wait->number, wait->thread->party,
-                             (flags & ON_PARTIES) | (is_deaf ? DEAF : 0), deadline_ns};
+                             (flags & (ON_PARTIES | ON_PROCESSES)) | (is_deaf ? DEAF : 0),
+                             deadline_ns};
     hold_record(&record, sizeof record);
 }
 

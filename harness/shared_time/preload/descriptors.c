@@ -13,7 +13,9 @@
 #include <poll.h>
 #include <signal.h>
 #include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/ioctl.h>
@@ -53,6 +55,7 @@ struct timer {
 static struct descriptor own = {.kind = OWN, .inner = -1};
 static struct descriptor *descriptors[DESCRIPTORS_MAX];
 static bool is_told[DESCRIPTORS_MAX]; /* examined, and named if the other end has another time */
+static bool has_neighbours; /* another program of the rig may end a wait for a descriptor */
 static struct timer *timers;
 static uint32_t next_period = 1;
 
@@ -203,12 +206,30 @@ static bool is_inner_pipe(int fd, const struct stat *pipe)
     return is_inner;
 }
 
+/* Return whether a process was started as a program of this rig, or has ended since. */
+static bool is_of_rig(pid_t pid)
+{
+    char path[32], *variable = NULL, own[sizeof rig.path + 32];
+    size_t space = 0, count = 0, length = 0;
+    bool is_found = false;
+    snprintf(path, sizeof path, "/proc/%d/environ", (int)pid);
+    snprintf(own, sizeof own, "MOTORHIL_CLOCK=%s#", rig.path);
+    length = strlen(own);
+    FILE *environment = fopen(path, "r");
+    if (!environment) return errno == ENOENT;
+    for (; !is_found && getdelim(&variable, &space, '\0', environment) > 0; count++)
+        is_found = !strncmp(variable, own, length);
+    free(variable);
+    fclose(environment);
+    return is_found || !count;
+}
+
 /* Return the name of something whose other end has the time of the wall; NULL for all else. */
 static const char *outsider(int fd)
 {
     struct stat file;
     struct ucred peer;
-    int domain = 0;
+    int domain = 0, is_listening = 0;
     socklen_t size = sizeof domain, peer_size = sizeof peer;
     if (fstat(fd, &file) < 0) return NULL;
     if (S_ISFIFO(file.st_mode)) return is_inner_pipe(fd, &file) ? NULL : "pipe of another process";
@@ -216,7 +237,13 @@ static const char *outsider(int fd)
     if (REAL(getsockopt)(fd, SOL_SOCKET, SO_DOMAIN, &domain, &size) < 0) return NULL;
     if (domain != AF_UNIX) return "socket of the network";
     if (REAL(getsockopt)(fd, SOL_SOCKET, SO_PEERCRED, &peer, &peer_size) < 0) return NULL;
-    return peer.pid > 0 && peer.pid != getpid() ? "socket of another process" : NULL;
+    size = sizeof is_listening;
+    REAL(getsockopt)(fd, SOL_SOCKET, SO_ACCEPTCONN, &is_listening, &size);
+    bool is_inner = peer.pid == getpid() && !is_listening;
+    if (!is_inner && peer.pid && !is_listening && !is_of_rig(peer.pid))
+        return "socket of another process";
+    has_neighbours |= !is_inner;
+    return NULL;
 }
 
 /* Tell once of a descriptor whose other end has the time of the wall. */
@@ -247,7 +274,7 @@ static enum result wait_for(struct pollfd *fds, nfds_t count, int64_t deadline_n
 {
     struct polled polled = {fds, count};
     for (nfds_t i = 0; i < count; i++) look_at(fds[i].fd);
-    return wait_point(is_polled, &polled, deadline_ns, 0);
+    return wait_point(is_polled, &polled, deadline_ns, has_neighbours ? ON_PROCESSES : 0);
 }
 
 enum result wait_for_input(int fd, int64_t deadline_ns)

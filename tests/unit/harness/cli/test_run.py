@@ -240,6 +240,18 @@ def test_rig_stays_open_until_script_threads_end(rig, say):
     assert "ZeroDivisionError" in err
 
 
+def test_frame_sent_at_the_end_of_script_is_recorded(rig, say):
+    """As the kernel sends what a program has left in the queue of an interface."""
+    (rig / "script.py").write_text(
+        "import can\n"
+        "with can.Bus() as bus:\n"
+        "    bus.send(can.Message(arbitration_id=0x123, is_extended_id=False))\n"
+    )
+    assert say("run", "rig.toml", "script.py", "-o", "run.mcap") == (0, "", "")
+    _, out, _ = say("show", "run.mcap")
+    assert "123" in out
+
+
 def test_deadlocked_threads_are_reported_with_name_and_line(rig, say):
     (rig / "script.py").write_text(
         "import threading\nthreading.Thread(target=threading.Event().wait, name='idle').start()\n"

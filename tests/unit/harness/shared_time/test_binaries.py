@@ -232,6 +232,19 @@ def test_event_loop_with_timer_and_can_sockets_twice_the_same(twice, tmp_path):
     assert lines == [*frames[0], *frames[1], "a: next in 10 ms", *frames[2]]
 
 
+@pytest.mark.parametrize("first", ["server", "client"])
+def test_programs_talk_by_unix_socket_twice_the_same(twice, tmp_path, first):
+    program = compiled("neighbours", tmp_path)
+    names = ["server", "client"] if first == "server" else ["client", "server"]
+    lines = twice(**{name: [program, name, "door"] for name in names})
+    assert lines == [
+        "server: accepted at 3 ms",
+        "client: abc at 53 ms",
+        "client: abc at 303 ms",
+        "server: closed at 503 ms",
+    ]
+
+
 @needs_can_utils
 def test_rig_of_how_to_prints_its_answer(run):
     page = (CHECKOUT / "docs" / "how-to" / "run-several-programs.md").read_text()

@@ -10,6 +10,7 @@ from motorhil.harness.rig.rig import Rig
 from motorhil.harness.shared_time.programs import run_programs
 from motorhil.traces.digest import digest
 from tests.support.modbus.rigs import text
+from tests.support.motors.wheels import frames_on
 
 pytestmark = pytest.mark.wall
 
@@ -94,6 +95,25 @@ def test_output_is_named_and_in_order_of_virtual_time(run):
     assert [line.rpartition(" ")[0] for line in lines] == [
         *("slow: s 0", "fast: f 0", "slow: s 1", "fast: f 1", "fast: f 2"),
     ]
+
+
+LAST = """
+import can
+with can.Bus() as bus:
+    for number in range(3):
+        bus.send(can.Message(arbitration_id=0x100 + number, is_extended_id=False))
+"""
+
+
+def test_frames_sent_at_the_end_of_the_last_program_are_on_the_bus(tmp_path):
+    """As the kernel sends what a program has left in the queue of an interface."""
+    (tmp_path / "last.py").write_text(LAST)
+    (tmp_path / "rig.toml").write_text(RIG + program("a", "python", "last.py"))
+    with Rig.open(tmp_path / "rig.toml") as rig:
+        heard = frames_on(rig)
+        assert run_programs(rig, print) == {}
+        assert [can_id for _, _, can_id, _ in heard] == [0x100, 0x101, 0x102]
+        assert rig.runtime.now_ns() < 1_000_000
 
 
 def test_two_runs_of_programs_that_share_motor_make_one_record(run, tmp_path):
