@@ -336,6 +336,13 @@ EXPORT int getpeername(int fd, struct sockaddr *restrict address, socklen_t *res
     return 0;
 }
 
+EXPORT int shutdown(int fd, int how)
+{
+    struct line_end *end = end_of(fd);
+    if (end && how != SHUT_RD) end->has_ended = true; /* for writing */
+    return REAL(shutdown)(fd, how);
+}
+
 /* Options of TCP and IP have no effect on a line. */
 bool is_option_of_line(int fd, int level)
 {
@@ -372,11 +379,12 @@ bool hear_line(unsigned number, int64_t time_ns, bool is_transmitted, const void
     if (!end || is_transmitted) return end != NULL;
     if (!size) {
         end->has_ended = true;
-        shutdown(end->descriptor.inner, SHUT_WR);
+        REAL(shutdown)(end->descriptor.inner, SHUT_WR);
         return true;
     }
     end->line->silent_ns = time_ns + end->line->silence_ns;
-    if (REAL(send)(end->descriptor.inner, data, size, MSG_DONTWAIT | MSG_NOSIGNAL) < 0)
+    if (REAL(send)(end->descriptor.inner, data, size, MSG_DONTWAIT | MSG_NOSIGNAL) < 0 &&
+        errno != EPIPE) /* the program reads no more */
         tell_end(end, "too many characters are not read; the others are lost");
     return true;
 }

@@ -67,7 +67,7 @@ _open_file = io.open
 _connect, _connect_ex = socket.socket.connect, socket.socket.connect_ex
 _setsockopt, _getsockopt = socket.socket.setsockopt, socket.socket.getsockopt
 _getpeername, _getsockname = socket.socket.getpeername, socket.socket.getsockname
-_select = select.select
+_select, _poll = select.select, select.poll
 _getaddrinfo, _ioctl = socket.getaddrinfo, fcntl.ioctl
 _OPTION_LEVELS: Final = (socket.IPPROTO_TCP, socket.IPPROTO_IP, socket.IPPROTO_IPV6)
 
@@ -176,10 +176,19 @@ class _End:
                 return True
             except OSError:
                 data = b""
+            if not data and self._may_read():
+                self._pass_on()
+                return True
             if not data:
                 self.close()
                 return False
             self._send(data)
+
+    def _may_read(self) -> bool:
+        """Return whether the program has shut its end down only for writing."""
+        poll = _poll()
+        poll.register(self._inner, 0)  # POLLHUP is always told: both ways are shut
+        return not poll.poll(0)
 
     def _send(self, data: bytes) -> None:
         now_ns = self.runtime.now_ns()

@@ -200,6 +200,31 @@ def test_connection_ends_when_its_last_descriptor_is_closed(gateway):
     assert endpoints(gateway) == ["mast"]
 
 
+def test_answer_arrives_after_the_end_of_writing(gateway):
+    with connection(1.0) as own:
+        own.sendall(REQUEST)
+        own.shutdown(socket.SHUT_WR)
+        assert own.recv(64) == ANSWER
+        with pytest.raises(BrokenPipeError):
+            own.send(REQUEST)
+        assert endpoints(gateway) == ["mast", "host"]
+    time.sleep(0.01)
+    assert endpoints(gateway) == ["mast"]
+
+
+@pytest.mark.parametrize("way", ["close", "shutdown"])
+def test_request_before_a_close_is_carried_out(gateway, way):
+    """Write the jog speed, register 01E1h (Leadshine manual), and read it by a new connection."""
+    with connection() as own:
+        own.sendall(bytes.fromhex("0007 0000 0006 01 06 01E1 007B"))
+        if way == "shutdown":
+            own.shutdown(socket.SHUT_RDWR)
+    with connection(1.0) as own:
+        time.sleep(0.01)
+        own.sendall(bytes.fromhex("0008 0000 0006 01 03 01E1 0001"))
+        assert own.recv(64) == bytes.fromhex("0008 0000 0005 01 03 02 007B")
+
+
 def test_thread_that_ends_sends_what_it_has_written(gateway):
     with connection() as own:
         thread = threading.Thread(target=os.writev, args=(own.fileno(), [REQUEST]))
