@@ -15,6 +15,7 @@
  *   netlink.c     questions for CAN interfaces
  *   lines.c        gateways and serial ports
  *   streams.c      streams of stdio on descriptors of the rig
+ *   syscalls.c     system calls by number
  *   refusals.c     what is not supported, told by name
  *
  * Rules of turn, as in motorhil/harness/virtual_time/runtime.py:
@@ -170,6 +171,8 @@ extern struct thread *threads;
 void note_main_thread(void);
 struct thread *thread_of(pthread_t id);
 struct thread *thread_of_task(pid_t task);
+long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
+           uint32_t bits);
 
 /* descriptors.c */
 enum kind { OWN, CAN, TIMER, LINE };

@@ -15,6 +15,7 @@
 #include <stdarg.h>
 #include <stdlib.h>
 #include <sys/epoll.h>
+#include <sys/file.h>
 #include <sys/ioctl.h>
 #include <sys/select.h>
 #include <sys/socket.h>
@@ -133,12 +134,59 @@ EXPORT int dup2(int fd, int copy)
     return dup3(fd, copy, 0);
 }
 
+/* A lock of a file that this or another program holds. */
+struct file_lock {
+    int fd, command; /* an operation of flock(), without a value */
+    void *value;
+    int error; /* 0: it is held now */
+};
+
+static bool takes_lock(void *subject)
+{
+    struct file_lock *lock = subject;
+    if (!lock->error) return true;
+    int result = lock->value ? REAL(fcntl)(lock->fd, lock->command, lock->value)
+                             : REAL(flock)(lock->fd, lock->command);
+    lock->error = result < 0 ? errno : 0;
+    return lock->error != EAGAIN && lock->error != EACCES;
+}
+
+/* Lock a file; wait for the turns of others while they hold it. */
+static int lock_file(int fd, int command, int attempt, void *value)
+{
+    struct file_lock lock = {fd, attempt, value, EAGAIN};
+    enum result result = HOLDS;
+    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits)
+        return value ? REAL(fcntl)(fd, command, value) : REAL(flock)(fd, command);
+    if (!takes_lock(&lock))
+        result = wait_point(takes_lock, &lock, NEVER, ON_PARTIES | ON_PROCESSES | RESTARTS);
+    errno = result == INTERRUPTED ? EINTR : lock.error;
+    return errno ? -1 : 0;
+}
+
+EXPORT int flock(int fd, int operation)
+{
+    if (!(operation & (LOCK_NB | LOCK_UN)))
+        return lock_file(fd, operation, operation | LOCK_NB, NULL);
+    return charged(REAL(flock)(fd, operation));
+}
+
+EXPORT int lockf(int fd, int command, off_t size)
+{
+    struct flock lock = {.l_type = F_WRLCK, .l_whence = SEEK_CUR, .l_len = size};
+    return command == F_LOCK ? fcntl(fd, F_SETLKW, &lock) : REAL(lockf)(fd, command, size);
+}
+
+EXPORT int lockf64(int fd, int command, off64_t size) __attribute__((alias("lockf")));
+
 EXPORT int fcntl(int fd, int command, ...)
 {
     va_list values;
     va_start(values, command);
     void *value = va_arg(values, void *);
     va_end(values);
+    if (command == F_SETLKW) return lock_file(fd, command, F_SETLK, value);
+    if (command == F_OFD_SETLKW) return lock_file(fd, command, F_OFD_SETLK, value);
     int result = REAL(fcntl)(fd, command, value);
     bool is_copy = command == F_DUPFD || command == F_DUPFD_CLOEXEC;
     return is_copy ? duplicate(fd, result) : result;

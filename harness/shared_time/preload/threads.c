@@ -13,7 +13,6 @@
 #include <linux/futex.h>
 #include <sched.h>
 #include <signal.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -422,6 +421,24 @@ EXPORT int pthread_rwlock_unlock(pthread_rwlock_t *lock)
     return error;
 }
 
+/* ---- pthread_once ---------------------------------------------------------------------------- */
+
+enum { ONCE_RUNS = 1, ONCE_DONE = 2 }; /* bits of a pthread_once_t in glibc */
+
+static bool runs_no_more(void *once)
+{
+    return (*(pthread_once_t *)once & (ONCE_RUNS | ONCE_DONE)) != ONCE_RUNS;
+}
+
+/* Wait for a thread that runs the function, which may wait itself. */
+EXPORT int pthread_once(pthread_once_t *once, void (*function)(void))
+{
+    if (rig.state == JOINED && !runs_no_more(once) && in_rig() && thread_here &&
+        !thread_here->waits)
+        wait_turn(runs_no_more, once, NEVER, ON_PARTIES);
+    return REAL(pthread_once)(once, function);
+}
+
 /* ---- barriers -------------------------------------------------------------------------------- */
 
 static struct barrier {
@@ -530,11 +547,10 @@ EXPORT int sem_trywait(sem_t *semaphore)
     return result;
 }
 
-/* ---- system calls by number: futexes of std::future, static variables, Rust -------------------
- */
+/* ---- futexes: of std::future, static variables, Rust ------------------------------------------ */
 
-static long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
-                  uint32_t bits)
+long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
+           uint32_t bits)
 {
     bool is_absolute = (operation & FUTEX_CMD_MASK) == FUTEX_WAIT_BITSET;
     struct sleeper mine = {.address = word, .bits = is_absolute ? bits : ~0u};
@@ -560,21 +576,4 @@ static long futex(uint32_t *word, int operation, uint32_t value, const struct ti
     if (result == HOLDS) return 0;
     errno = result == EXPIRED ? ETIMEDOUT : EINTR;
     return -1;
-}
-
-EXPORT long syscall(long number, ...)
-{
-    long a[6];
-    va_list values;
-    va_start(values, number);
-    for (int i = 0; i < 6; i++) a[i] = va_arg(values, long);
-    va_end(values);
-    if (in_rig()) switch (number) {
-        case SYS_futex: return futex((uint32_t *)a[0], a[1], a[2], (void *)a[3], a[5]);
-        case SYS_clock_gettime: return clock_gettime(a[0], (void *)a[1]);
-        case SYS_nanosleep: return nanosleep((void *)a[0], (void *)a[1]);
-        case SYS_clock_nanosleep:
-            return (errno = clock_nanosleep(a[0], a[1], (void *)a[2], (void *)a[3])) ? -1 : 0;
-        }
-    return REAL(syscall)(number, a[0], a[1], a[2], a[3], a[4], a[5]);
 }

@@ -1,5 +1,7 @@
-/* Waits of threads at a barrier: `shared_waits barrier`; or of two programs for what they share in
- * a file: `shared_waits first FILE` and `shared_waits second FILE`.
+/* Waits of threads at a barrier, or for pthread_once(): `shared_waits barrier`, `shared_waits once`.
+ *
+ * Or waits of two programs for what they share in a file: `shared_waits first FILE` and
+ * `shared_waits second FILE`; for its locks with `keeper` and `taker`.
  */
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -8,6 +10,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/mman.h>
 #include <time.h>
 #include <unistd.h>
@@ -48,6 +51,50 @@ static void use_barrier(void)
     for (int i = 0; i < 3; i++) pthread_join(threads[i], NULL);
     printf("serial: %d\n", serial_count);
     pthread_barrier_destroy(&barrier);
+}
+
+static pthread_once_t once = PTHREAD_ONCE_INIT;
+
+static void sleep_once(void)
+{
+    sleep(1);
+    serial_count++;
+}
+
+static void *call_once(void *unused)
+{
+    usleep(500000);
+    pthread_once(&once, sleep_once);
+    printf("thread at %ld\n", now_ms());
+    return unused;
+}
+
+static void use_once(void)
+{
+    pthread_t thread;
+    pthread_create(&thread, NULL, call_once, NULL);
+    pthread_once(&once, sleep_once);
+    printf("main at %ld\n", now_ms());
+    pthread_join(thread, NULL);
+    printf("once: %d\n", serial_count);
+}
+
+/* Hold both kinds of lock, one after the other; or take them. */
+static void lock(int fd, int keeps)
+{
+    usleep(keeps ? 10 : 20); /* joins */
+    if (flock(fd, LOCK_EX)) perror("flock");
+    if (keeps)
+        sleep(1);
+    else
+        printf("flock at %ld\n", now_ms());
+    if (flock(fd, LOCK_UN)) perror("flock");
+    if (lockf(fd, F_LOCK, 0)) perror("lockf");
+    if (keeps)
+        sleep(1);
+    else
+        printf("lockf at %ld\n", now_ms());
+    if (lockf(fd, F_ULOCK, 0)) perror("lockf");
 }
 
 static void make_shared(void)
@@ -99,7 +146,7 @@ static void be_second(void)
 int main(int words, char **argument)
 {
     if (words == 2) {
-        use_barrier();
+        strcmp(argument[1], "once") ? use_barrier() : use_once();
         return 0;
     }
     int fd = words > 2 ? open(argument[2], O_RDWR | O_CREAT, 0600) : -1;
@@ -108,6 +155,8 @@ int main(int words, char **argument)
     if (shared == MAP_FAILED) return 9;
     if (!strcmp(argument[1], "first")) {
         be_first();
+    } else if (argument[1][0] == 'k' || argument[1][0] == 't') {
+        lock(fd, argument[1][0] == 'k');
     } else {
         be_second();
     }

@@ -1,7 +1,10 @@
 """Signals, timers and shared objects of unmodified binaries, in a rig's virtual time."""
 
+import platform
+
 import pytest
 
+from motorhil.harness.rig.config.toml import RigError
 from tests.support.programs.c_programs import compiled, needs_compiler
 
 pytestmark = [pytest.mark.wall, needs_compiler]
@@ -60,6 +63,37 @@ def test_threads_meet_at_a_barrier_when_the_last_comes(twice, tmp_path):
     assert sorted(lines[:3]) == [f"a: {thread} at 3000" for thread in (1, 2, 3)]
     assert sorted(lines[3:6]) == [f"a: {thread} at 6000" for thread in (1, 2, 3)]
     assert lines[6:] == ["a: serial: 2"]
+
+
+def test_second_caller_of_pthread_once_waits_for_the_first(twice, tmp_path):
+    lines = twice(a=[compiled("shared_waits", tmp_path), "once"])
+    assert lines == ["a: main at 1000", "a: thread at 1000", "a: once: 1"]
+
+
+@pytest.mark.parametrize("roles", [("keeper", "taker"), ("taker", "keeper")])
+def test_program_waits_for_lock_of_file_of_another(twice, tmp_path, roles):
+    program, file = compiled("shared_waits", tmp_path), tmp_path / "shared"
+    lines = twice(**{role: [program, role, file] for role in roles})
+    assert lines == ["taker: flock at 1000", "taker: lockf at 2000"]
+
+
+CALLS = (
+    *("nanosleep", "poll", "ppoll", "select", "pselect6"),
+    *("epoll_wait", "epoll_pwait", "epoll_pwait2", "read", "clock_nanosleep"),
+)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="its calls are those of x86-64")
+def test_system_calls_by_number_wait_in_the_rigs_time(twice, tmp_path):
+    lines = twice(a=[compiled("raw_calls", tmp_path)])
+    results = {"read": 8}
+    assert lines == [f"a: {call}: {results.get(call, 0)} after 100 ms" for call in CALLS]
+
+
+def test_system_call_that_the_rig_has_not_is_refused_by_name(run, tmp_path):
+    with pytest.raises(RigError, match="program a: ended before it joined"):
+        run(a=[compiled("raw_calls", tmp_path), "timer"], lines=(lines := []))
+    assert "makes the system call timer_create: not supported in the rig's time" in lines[0]
 
 
 @pytest.mark.parametrize("roles", [("first", "second"), ("second", "first")])
