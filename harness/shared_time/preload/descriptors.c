@@ -10,6 +10,7 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <poll.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -530,10 +531,46 @@ EXPORT int accept(int fd, struct sockaddr *restrict address, socklen_t *restrict
     return accept4(fd, address, size, 0);
 }
 
+static bool has_room(int fd)
+{
+    struct pollfd output = {.fd = fd, .events = POLLOUT};
+    return REAL(poll)(&output, 1, 0) != 0;
+}
+
+/* Return whether the reader of a descriptor is a thread that needs turns to make room. */
+static bool has_inner_reader(int fd)
+{
+    struct stat file;
+    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits) return false;
+    if (fstat(fd, &file) < 0 || !is_blocking(fd, 0)) return false;
+    return (S_ISFIFO(file.st_mode) || S_ISSOCK(file.st_mode)) && !outsider(fd);
+}
+
+/* Write in pieces that a pipe takes at once, and wait for room in between. */
+static ssize_t write_inner(int fd, const char *data, size_t size)
+{
+    size_t done = 0;
+    while (done < size) {
+        struct pollfd output = {.fd = fd, .events = POLLOUT};
+        size_t piece = size - done < PIPE_BUF ? size - done : PIPE_BUF;
+        if (!has_room(fd) && wait_for(&output, 1, NEVER, NULL) == INTERRUPTED) {
+            errno = EINTR;
+            break;
+        }
+        ssize_t written = REAL(write)(fd, data + done, piece);
+        if (written < 0) break;
+        done += written;
+    }
+    return done || !size ? (ssize_t)done : -1;
+}
+
 EXPORT ssize_t write(int fd, const void *data, size_t size)
 {
     if (is_line(fd)) return send_line(fd, data, size, 0);
-    return is_can(fd) ? can_send(fd, data, size, NULL, 0) : REAL(write)(fd, data, size);
+    if (is_can(fd)) return can_send(fd, data, size, NULL, 0);
+    bool may_block = size > PIPE_BUF || (rig.state == JOINED && !has_room(fd));
+    if (may_block && has_inner_reader(fd)) return write_inner(fd, data, size);
+    return REAL(write)(fd, data, size);
 }
 
 EXPORT ssize_t writev(int fd, const struct iovec *parts, int count)

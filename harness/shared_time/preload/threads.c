@@ -547,7 +547,7 @@ EXPORT int sem_trywait(sem_t *semaphore)
     return result;
 }
 
-/* ---- futexes: of std::future, static variables, Rust ------------------------------------------ */
+/* ---- futexes: of std::future, static variables, Rust ----------------------------------------- */
 
 long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
            uint32_t bits)

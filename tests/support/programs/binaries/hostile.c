@@ -100,6 +100,14 @@ static void *write_late(void *unused)
     return unused;
 }
 
+static void *read_late(void *unused)
+{
+    static char data[50000];
+    sleep(1);
+    while (count < 400000) count += read(ends[0], data, sizeof data);
+    return unused;
+}
+
 static void start(void *(*function)(void *), void *argument)
 {
     pthread_t thread;
@@ -206,6 +214,12 @@ int main(int words, char **argument)
         if (pipe2(ends, O_NONBLOCK)) return 9;
         start(write_late, NULL);
         while (read(ends[0], threads, 1) != 1) continue;
+    } else if (!strcmp(act, "full-pipe") || !strcmp(act, "full-socket")) {
+        static char data[400000];
+        int is_pipe = !strcmp(act, "full-pipe");
+        if (is_pipe ? pipe(ends) : socketpair(AF_UNIX, SOCK_STREAM, 0, ends)) return 9;
+        start(read_late, NULL);
+        printf("written: %zd\n", write(ends[1], data, sizeof data));
     } else if (!strcmp(act, "signals")) {
         signal(SIGUSR1, note_signal);
         start(signal_main, &self);

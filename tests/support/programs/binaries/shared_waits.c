@@ -1,4 +1,4 @@
-/* Waits of threads at a barrier, or for pthread_once(): `shared_waits barrier`, `shared_waits once`.
+/* Waits of threads, at a barrier or for pthread_once(): `shared_waits barrier`, `... once`.
  *
  * Or waits of two programs for what they share in a file: `shared_waits first FILE` and
  * `shared_waits second FILE`; for its locks with `keeper` and `taker`.

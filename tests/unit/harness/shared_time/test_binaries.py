@@ -251,6 +251,8 @@ UNSUPPORTED = "not supported in the rig's time; expected"
         ("popen", None, ["a pipe of another process, which has the time of the wall", "poll: 0"]),
         ("no-sender", None, ["1000001 at 11 s"]),
         ("spin-pipe", None, ["1 at 0 s"]),
+        ("full-pipe", None, ["written: 400000"]),
+        ("full-socket", None, ["written: 400000"]),
         (
             *("signals", None),
             ["poll: -1, interrupted: 1, signals: 1", "sleep: 9 s left", "2 at 2 s"],
