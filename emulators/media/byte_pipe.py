@@ -52,6 +52,7 @@ class BytePipe:
         self._plan: Final = faults
         # By number of an open connection: to the server, to the client.
         self._ways: dict[int, tuple[_Direction, _Direction]] = {}
+        self._closing: set[int] = set()  # connections whose client has closed its end
         self._opened = 0
         self._waiting: list[tuple[int, int, bytes, int, bool]] = []  # (due, turn, and a delivery)
         self._turn = 0
@@ -63,9 +64,17 @@ class BytePipe:
         self._ways[connection] = _Direction(client), _Direction(server)
         return connection
 
-    def close(self, connection: int) -> None:
-        """Close the connection and discard all data in transit."""
+    def close(self, connection: int) -> bool:
+        """Close the client's end. Return False while data are on their way to the server.
+
+        These still arrive, as in TCP (RFC 9293, 3.6). Nothing arrives at the client any more.
+        """
+        if connection in self._ways and self.pending(connection):
+            self._closing.add(connection)
+            return False
         self._ways.pop(connection, None)
+        self._closing.discard(connection)
+        return True
 
     def submit(
         self, connection: int, to_server: bool, data: bytes, now_ns: int, sender: str | None = None
@@ -124,6 +133,6 @@ class BytePipe:
         waiting = self._waiting
         while waiting and waiting[0][0] <= now_ns:
             _, _, data, connection, to_server = heappop(waiting)
-            if connection in self._ways:
+            if connection in self._ways and (to_server or connection not in self._closing):
                 out.append((data, connection, to_server))
         return out

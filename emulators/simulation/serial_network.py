@@ -225,8 +225,12 @@ class TcpSegment(LineSegment):
         connection = self._connections.pop(endpoint.port, None)
         if connection is not None:
             self.endpoints.remove(endpoint)
+            self._close(connection)
+
+    def _close(self, connection: int) -> None:
+        """Forget a closed connection, unless requests of it have not yet arrived."""
+        if self._pipe.close(connection):
             del self._clients[connection]
-            self._pipe.close(connection)
             self.gateway.forget(connection)
 
     def pending(self, port: int) -> int:
@@ -260,14 +264,20 @@ class TcpSegment(LineSegment):
             self._slots[unit].deliver(with_crc(bytes((unit,)) + pdu), now_ns)
 
     def _expire(self, now_ns: int) -> None:
+        closing: list[int] = []
         for data, connection, to_server in self._pipe.expire(now_ns):
             client = self._clients.get(connection)
             if client is None:  # closed since, at this time
                 continue
             if to_server:
                 self._hear(connection, *client, data, now_ns)
+                if client[0].is_closed:
+                    closing.append(connection)
             else:
                 client[0].deliver(data, now_ns)
+        for connection in closing:
+            if connection in self._clients:
+                self._close(connection)
         self._settle(self._pipe.next_deadline_ns())
 
     def _give_up(self, now_ns: int) -> None:

@@ -1,4 +1,4 @@
-/* CAN sockets (AF_CAN, SOCK_RAW, CAN_RAW) on the buses of the rig.
+/* CAN sockets (AF_CAN) on the buses of the rig: CAN_RAW, and those of the broadcast manager.
  *
  * A socket is the program's end of a pair of UNIX sockets. Frames that the rig lets the program
  * hear pass the filters and are written to the pair with their time, so that the kernel itself
@@ -11,6 +11,7 @@
 
 #include <errno.h>
 #include <linux/can.h>
+#include <linux/can/bcm.h>
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <linux/net_tstamp.h>
@@ -32,19 +33,20 @@ struct __attribute__((packed)) ported {
     uint8_t data[CANFD_MTU];
 };
 
-/* A frame in the pair of sockets. */
+/* A frame, or a message of the broadcast manager, in the pair of sockets. */
+enum { MESSAGE_MAX = sizeof(struct bcm_msg_head) + 257 * CANFD_MTU };
 struct heard {
     int64_t time_ns;
     int32_t index;
     int32_t flags; /* of recvmsg */
-    uint8_t frame[CANFD_MTU];
+    uint8_t frame[MESSAGE_MAX];
 };
 enum { HEARD_HEAD = offsetof(struct heard, frame) };
 
 struct can_socket {
     struct descriptor descriptor;
     int index; /* of the interface; ALL_BUSES */
-    bool is_bound, hears_own, has_fd, joins_filters, has_loopback;
+    bool is_broadcast, is_bound, hears_own, has_fd, joins_filters, has_loopback;
     bool stamps_us, stamps_ns, counts_lost;
     unsigned timestamping; /* SOF_TIMESTAMPING_... */
     can_err_mask_t error_mask;
@@ -160,6 +162,7 @@ int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known)
 static void tell_use(const struct port *port)
 {
     uint8_t flags = QUIET | (port->socket->hears_own ? 0 : OTHERS);
+    if (port->socket->is_broadcast) flags = 0; /* its operations act at the times of frames */
     struct ported record = {RECORD_PORT, port->number, {flags}};
     hold_record(&record, offsetof(struct ported, data) + 1);
 }
@@ -203,6 +206,7 @@ static struct port *port_on(struct can_socket *socket, int bus)
 
 void close_can(struct can_socket *socket)
 {
+    if (socket->is_broadcast) close_broadcast(socket);
     close_ports(socket);
     free(socket->filters);
     free(socket);
@@ -232,27 +236,48 @@ static const struct port *port_of(unsigned number)
     return NULL;
 }
 
+/* Write what the program receives to the pair. */
+static void put_heard(struct can_socket *socket, const struct heard *heard, size_t size)
+{
+    if (REAL(send)(socket->descriptor.inner, heard, HEARD_HEAD + size,
+                   MSG_DONTWAIT | MSG_NOSIGNAL) >= 0)
+        return;
+    if (!socket->lost++)
+        tell("program '%s': a socket on %s is full; frames are lost, as in the kernel", rig.name,
+             bus_at(heard->index) ? bus_at(heard->index)->name : "all buses");
+}
+
+void queue_message(struct can_socket *socket, int index, const void *message, size_t size)
+{
+    struct heard heard;
+    heard.time_ns = rig.now_ns;
+    heard.index = index;
+    heard.flags = 0;
+    memcpy(heard.frame, message, size);
+    put_heard(socket, &heard, size);
+}
+
 void hear(unsigned number, int64_t time_ns, bool is_transmitted, bool is_error, const void *frame,
           size_t size)
 {
     const struct port *port = port_of(number);
     struct can_socket *socket = port ? port->socket : NULL;
-    struct heard heard = {.time_ns = time_ns};
+    struct heard heard;
     canid_t id;
     (void)is_error; /* its identifier says so */
-    if (!socket || !socket->is_bound || size > sizeof heard.frame) return;
+    if (!socket || !socket->is_bound || size > CANFD_MTU) return;
+    if (socket->is_broadcast) {
+        hear_broadcast(socket, FIRST_INDEX + port->bus, frame, size);
+        return;
+    }
     memcpy(&id, frame, sizeof id);
     if ((is_transmitted && !socket->hears_own) || (size == CANFD_MTU && !socket->has_fd)) return;
     if (!passes(socket, id)) return;
+    heard.time_ns = time_ns;
     heard.index = FIRST_INDEX + port->bus;
     heard.flags = is_transmitted ? MSG_DONTROUTE | MSG_CONFIRM : 0;
     memcpy(heard.frame, frame, size);
-    if (REAL(send)(socket->descriptor.inner, &heard, HEARD_HEAD + size,
-                   MSG_DONTWAIT | MSG_NOSIGNAL) >= 0)
-        return;
-    if (!socket->lost++)
-        tell("program '%s': a socket on %s is full; frames are lost, as in the kernel", rig.name,
-             rig.buses[port->bus].name);
+    put_heard(socket, &heard, size);
 }
 
 /* Take the next frame out of the pair; wait for it if the socket blocks. Return its size. */
@@ -343,7 +368,38 @@ EXPORT ssize_t recvmsg(int fd, struct msghdr *message, int flags)
     return done;
 }
 
+/* Receive messages as the kernel does: the first as the flags say, the others without a wait if
+ * MSG_WAITFORONE is set; the timeout is looked at after each. */
+EXPORT int recvmmsg(int fd, struct mmsghdr *messages, unsigned count, int flags,
+                    struct timespec *timeout)
+{
+    if (!in_rig()) return REAL(recvmmsg)(fd, messages, count, flags, timeout);
+    if (timeout && !is_duration(timeout)) return failed(EINVAL);
+    int64_t end_ns = timeout ? rig.now_ns + duration_ns(timeout) : 0;
+    unsigned done = 0;
+    while (done < count) {
+        ssize_t size = recvmsg(fd, &messages[done].msg_hdr, flags & ~MSG_WAITFORONE);
+        if (size < 0) break;
+        messages[done++].msg_len = size;
+        if (flags & MSG_WAITFORONE) flags |= MSG_DONTWAIT;
+        if (timeout && rig.now_ns >= end_ns) break;
+    }
+    if (timeout) *timeout = timespec_of(end_ns > rig.now_ns ? end_ns - rig.now_ns : 0);
+    return done || !count ? (int)done : -1;
+}
+
 /* ---- frames that are sent -------------------------------------------------------------------- */
+
+/* Send a frame through the open port of a socket. */
+void send_frame(struct can_socket *socket, int index, const void *frame, size_t size)
+{
+    const struct port *port = port_on(socket, index - FIRST_INDEX);
+    struct ported record = {.kind = RECORD_SEND, .port = port->number};
+    memcpy(record.data, frame, size);
+    send_record(&record, offsetof(struct ported, data) + size);
+}
+
+static ssize_t can_broadcast(struct can_socket *socket, const void *data, size_t size, int index);
 
 ssize_t can_send(int fd, const void *data, size_t size, const void *address, size_t address_size)
 {
@@ -357,23 +413,30 @@ ssize_t can_send(int fd, const void *data, size_t size, const void *address, siz
     if (to) {
         if (address_size < offsetof(struct sockaddr_can, can_addr) || to->can_family != AF_CAN)
             return failed(EINVAL);
-        index = to->can_ifindex;
+        index = socket->is_broadcast && index ? index : to->can_ifindex;
     }
+    if (socket->is_broadcast) return can_broadcast(socket, data, size, index);
     struct bus *bus = bus_at(index);
     if (!bus) return failed(ENXIO);
     if (size != CAN_MTU && (size != CANFD_MTU || !socket->has_fd || !bus->is_fd))
         return failed(EINVAL);
-    const struct port *port = port_on(socket, index - FIRST_INDEX);
-    if (!port) return -1;
-    struct ported record = {.kind = RECORD_SEND, .port = port->number};
-    memcpy(record.data, data, size);
-    send_record(&record, offsetof(struct ported, data) + size);
+    if (!port_on(socket, index - FIRST_INDEX)) return -1;
+    send_frame(socket, index, data, size);
     return size;
+}
+
+/* Let the broadcast manager carry out a message; it has a bus of its own, or none. */
+static ssize_t can_broadcast(struct can_socket *socket, const void *data, size_t size, int index)
+{
+    if (!socket->is_bound) return failed(ENOTCONN);
+    if (index && !bus_at(index)) return failed(ENODEV);
+    if (index && !port_on(socket, index - FIRST_INDEX)) return -1;
+    return send_broadcast(socket, index, data, size);
 }
 
 EXPORT ssize_t sendmsg(int fd, const struct msghdr *message, int flags)
 {
-    uint8_t frame[CANFD_MTU];
+    uint8_t frame[MESSAGE_MAX];
     size_t size = 0;
     if (is_line(fd)) return send_parts(fd, message->msg_iov, message->msg_iovlen, flags);
     if (!is_can(fd)) {
@@ -391,6 +454,18 @@ EXPORT ssize_t sendmsg(int fd, const struct msghdr *message, int flags)
     return can_send(fd, frame, size, message->msg_name, message->msg_namelen);
 }
 
+EXPORT int sendmmsg(int fd, struct mmsghdr *messages, unsigned count, int flags)
+{
+    if (!in_rig()) return REAL(sendmmsg)(fd, messages, count, flags);
+    unsigned done = 0;
+    while (done < count) {
+        ssize_t size = sendmsg(fd, &messages[done].msg_hdr, flags);
+        if (size < 0) break;
+        messages[done++].msg_len = size;
+    }
+    return done || !count ? (int)done : -1;
+}
+
 /* ---- sockets --------------------------------------------------------------------------------- */
 
 EXPORT int socket(int domain, int type, int protocol)
@@ -400,19 +475,22 @@ EXPORT int socket(int domain, int type, int protocol)
                            "TP20", "MCNET",   "CAN_ISOTP", "CAN_J1939"};
     int pair[2];
     if (!in_rig() || domain != PF_CAN) return REAL(socket)(domain, type, protocol);
-    if (kind != SOCK_RAW || protocol != CAN_RAW) {
+    bool is_broadcast = kind == SOCK_DGRAM && protocol == CAN_BCM;
+    if (!is_broadcast && (kind != SOCK_RAW || protocol != CAN_RAW)) {
         bool is_named = protocol >= 0 && protocol < (int)(sizeof names / sizeof *names);
-        tell("program '%s': a socket of protocol %s (%d): not supported; expected CAN_RAW",
+        tell("program '%s': a socket of protocol %s (%d): not supported; expected CAN_RAW or"
+             " CAN_BCM",
              rig.name, is_named ? names[protocol] : "unknown", protocol);
         return failed(EPROTONOSUPPORT);
     }
     if (rig.state == AWAITING) join_rig();
     struct can_socket *socket = calloc(1, sizeof *socket);
     struct can_filter *all = calloc(1, sizeof *all); /* mask 0: every frame */
-    if (!socket || !all || socketpair(AF_UNIX, SOCK_SEQPACKET | (type & ~SOCK_RAW), 0, pair) < 0)
+    if (!socket || !all || socketpair(AF_UNIX, SOCK_SEQPACKET | (type & ~kind), 0, pair) < 0)
         return -1;
     *socket = (struct can_socket){
         .descriptor = {.kind = CAN, .inner = set_apart(pair[1])},
+        .is_broadcast = is_broadcast,
         .has_loopback = true,
         .filters = all,
         .filter_count = 1,
@@ -421,21 +499,38 @@ EXPORT int socket(int domain, int type, int protocol)
     return pair[0];
 }
 
+/* Open the ports of a socket on an interface, or on all of them. */
+static int bind_to(struct can_socket *socket, int index)
+{
+    socket->index = index;
+    socket->is_bound = true;
+    for (int bus = 0; bus < rig.bus_count; bus++)
+        if (index == ALL_BUSES || index == FIRST_INDEX + bus)
+            if (!open_port(socket, bus)) return -1;
+    return 0;
+}
+
+/* Connect a socket of the broadcast manager, which cannot be bound. */
+static int connect_broadcast(struct can_socket *socket, const struct sockaddr_can *own,
+                             socklen_t size)
+{
+    if (size < offsetof(struct sockaddr_can, can_addr)) return failed(EINVAL);
+    if (socket->is_bound) return failed(EISCONN);
+    if (own->can_ifindex != ALL_BUSES && !bus_at(own->can_ifindex)) return failed(ENODEV);
+    return bind_to(socket, own->can_ifindex);
+}
+
 EXPORT int bind(int fd, const struct sockaddr *address, socklen_t size)
 {
     struct can_socket *socket = can_of(fd);
     const struct sockaddr_can *own = (const struct sockaddr_can *)address;
     if (!socket) return REAL(bind)(fd, address, size);
+    if (socket->is_broadcast) return failed(EOPNOTSUPP);
     if (size < offsetof(struct sockaddr_can, can_addr) || own->can_family != AF_CAN)
         return failed(EINVAL);
     if (own->can_ifindex != ALL_BUSES && !bus_at(own->can_ifindex)) return failed(ENODEV);
     close_ports(socket);
-    socket->index = own->can_ifindex;
-    socket->is_bound = true;
-    for (int bus = 0; bus < rig.bus_count; bus++)
-        if (socket->index == ALL_BUSES || socket->index == FIRST_INDEX + bus)
-            if (!open_port(socket, bus)) return -1;
-    return 0;
+    return bind_to(socket, own->can_ifindex);
 }
 
 EXPORT int connect(int fd, const struct sockaddr *address, socklen_t size)
@@ -444,7 +539,10 @@ EXPORT int connect(int fd, const struct sockaddr *address, socklen_t size)
     bool is_local = address && size >= sizeof address->sa_family && address->sa_family == AF_UNIX;
     if (is_local && in_rig() && rig.state == AWAITING) join_rig(); /* the other end may be there */
     if (connect_line(fd, address, size, &result)) return result;
-    return is_can(fd) ? failed(EOPNOTSUPP) : REAL(connect)(fd, address, size);
+    struct can_socket *socket = can_of(fd);
+    if (!socket) return REAL(connect)(fd, address, size);
+    if (!socket->is_broadcast) return failed(EOPNOTSUPP);
+    return connect_broadcast(socket, (const struct sockaddr_can *)address, size);
 }
 
 EXPORT int getsockname(int fd, struct sockaddr *restrict address, socklen_t *restrict size)
@@ -552,9 +650,9 @@ EXPORT int getsockopt(int fd, int level, int option, void *restrict value, sockl
     else if (level == SOL_SOCKET && option == SO_DOMAIN)
         number = PF_CAN;
     else if (level == SOL_SOCKET && option == SO_TYPE)
-        number = SOCK_RAW;
+        number = socket->is_broadcast ? SOCK_DGRAM : SOCK_RAW;
     else if (level == SOL_SOCKET && option == SO_PROTOCOL)
-        number = CAN_RAW;
+        number = socket->is_broadcast ? CAN_BCM : CAN_RAW;
     else
         return REAL(getsockopt)(fd, level, option, value, size);
     if (*size < sizeof number) return failed(EINVAL);

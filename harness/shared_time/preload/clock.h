@@ -5,12 +5,17 @@
  *
  *   connection.c   the connection to the rig, its records, and the turns of the program's threads
  *   clocks.c       clocks and sleeps
+ *   timers.c       timers that are descriptors, signals or threads
+ *   signals.c      signals of the program to itself
  *   threads.c      threads, and waits of one thread for another
  *   c11_threads.c threads of C11, by those of POSIX
- *   descriptors.c  waits for file descriptors, and timers that are descriptors
+ *   descriptors.c  waits for file descriptors
  *   can.c          CAN sockets
+ *   broadcast.c    the broadcast manager of CAN
  *   netlink.c     questions for CAN interfaces
  *   lines.c        gateways and serial ports
+ *   streams.c      streams of stdio on descriptors of the rig
+ *   syscalls.c     system calls by number
  *   refusals.c     what is not supported, told by name
  *
  * Rules of turn, as in motorhil/harness/virtual_time/runtime.py:
@@ -26,6 +31,7 @@
 
 #include <pthread.h>
 #include <semaphore.h>
+#include <signal.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -53,10 +59,12 @@ enum state {
     CHILD, /* a forked child: it has the wall's time */
 };
 /* Flags of a wait; the first two are the rig's. */
-enum { ON_PARTIES = 1, ON_PROCESSES = 2, CANCELLABLE = 256 };
+enum { ON_PARTIES = 1, ON_PROCESSES = 2, CANCELLABLE = 256, RESTARTS = 512 };
 enum result { EXPIRED = 0, HOLDS = 1, REFUSED = 2, INTERRUPTED = 3 };
 
 struct wait;
+struct sent;
+struct posix_timer;
 typedef bool condition(void *subject);
 
 struct thread {
@@ -64,7 +72,9 @@ struct thread {
     pthread_t id;
     pid_t task;     /* its number in the kernel */
     uint16_t party; /* its number on the connection */
-    bool waits, has_finished, is_cancelled, is_interrupted;
+    bool waits, has_begun, has_finished, is_cancelled;
+    struct sent *sent;                   /* signals that it handles when it has the turn */
+    const sigset_t *mask, *awaited;      /* of ppoll(); of sigwait() */
     sem_t baton;                         /* posted when it gets the turn */
     int64_t looked_ns, owed_ns, read_ns; /* last look at a clock: when, unpaid cost, value */
     void *(*start)(void *);
@@ -135,8 +145,34 @@ int64_t deadline_after(int64_t duration_ns);
 int64_t deadline_at(clockid_t clock, const struct timespec *instant);
 struct timespec timespec_of(int64_t time_ns);
 
+/* timers.c */
+struct alarm {
+    struct alarm *next;
+    uint32_t number; /* of its period in the rig; 0: it does not run */
+    int64_t next_ns, period_ns, interval_ns; /* the period is that in the rig */
+    void (*ring)(struct alarm *alarm);
+};
+struct timer;
+void start_alarm(struct alarm *alarm, int64_t first_ns, int64_t interval_ns);
+void stop_alarm(struct alarm *alarm);
+void expire_alarm(uint32_t number);
+void close_timer(struct timer *timer);
+void note_handling(struct posix_timer *timer, siginfo_t *info);
+void note_taking(siginfo_t *info);
+
+/* signals.c */
+void send_signal(struct thread *to, siginfo_t *info, struct posix_timer *timer);
+bool is_signal_pending(const struct posix_timer *timer, const struct thread *to, int number);
+void drop_signals(const struct posix_timer *timer);
+bool handle_signals(bool *restarts);
+
 /* threads.c */
+extern struct thread *threads;
 void note_main_thread(void);
+struct thread *thread_of(pthread_t id);
+struct thread *thread_of_task(pid_t task);
+long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
+           uint32_t bits);
 
 /* descriptors.c */
 enum kind { OWN, CAN, TIMER, LINE };
@@ -153,7 +189,6 @@ enum result wait_for_input(int fd, int64_t deadline_ns);
 bool await_input(int fd, int flags);
 void look_at(int fd);
 ssize_t charged(ssize_t result);
-void expire_timer(uint32_t number);
 
 /* can.c */
 struct can_socket;
@@ -165,6 +200,14 @@ ssize_t can_receive(int fd, void *data, size_t size, int flags, void *address, v
 ssize_t can_send(int fd, const void *data, size_t size, const void *address, size_t address_size);
 struct bus *bus_at(int index);
 int can_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
+
+void send_frame(struct can_socket *socket, int index, const void *frame, size_t size);
+void queue_message(struct can_socket *socket, int index, const void *message, size_t size);
+
+/* broadcast.c */
+ssize_t send_broadcast(struct can_socket *socket, int index, const void *data, size_t size);
+void hear_broadcast(struct can_socket *socket, int index, const void *frame, size_t size);
+void close_broadcast(struct can_socket *socket);
 
 /* netlink.c */
 struct msghdr;
@@ -185,6 +228,8 @@ bool is_option_of_line(int fd, int level);
 bool hear_line(unsigned port, int64_t time_ns, bool is_transmitted, const void *data, size_t size);
 ssize_t send_line(int fd, const void *data, size_t size, int flags);
 ssize_t send_parts(int fd, const struct iovec *parts, int count, int flags);
+bool open_serial(const char *path, int flags, int *fd);
+bool is_serial(const char *path);
 bool await_characters(int fd, ssize_t *result);
 int line_ioctl(int fd, unsigned long request, void *argument, bool *is_known);
 

@@ -9,6 +9,7 @@
 
 #include <errno.h>
 #include <sys/time.h>
+#include <sys/times.h>
 #include <unistd.h>
 
 static const int64_t UPTIME_NS = 100000 * (int64_t)NS_PER_S,
@@ -133,6 +134,15 @@ EXPORT clock_t clock(void)
 {
     if (!in_rig()) return REAL(clock)();
     return look() / (NS_PER_S / CLOCKS_PER_SEC);
+}
+
+/* The clock of the processor is the rig's, as that of clock(). */
+EXPORT clock_t times(struct tms *used)
+{
+    if (!in_rig()) return REAL(times)(used);
+    clock_t now = look() / (NS_PER_S / sysconf(_SC_CLK_TCK));
+    if (used) *used = (struct tms){.tms_utime = now};
+    return now + UPTIME_NS / (NS_PER_S / sysconf(_SC_CLK_TCK));
 }
 
 static int sleep_until(int64_t deadline_ns, struct timespec *left)

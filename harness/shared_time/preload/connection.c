@@ -390,17 +390,12 @@ static struct wait *take_wait(uint32_t number)
     return NULL;
 }
 
-/* Return whether another thread of the program has ended the wait of this one. */
-static bool is_disturbed(const struct thread *thread)
-{
-    return thread->is_cancelled || thread->is_interrupted;
-}
-
 /* Return the number of the first wait that has ended, or 0. */
 static uint32_t first_ready(void)
 {
     for (struct wait *wait = rig.waits; wait; wait = wait->next)
-        if (wait->holds(wait->subject) || (wait->is_cancellable && is_disturbed(wait->thread)))
+        if (wait->holds(wait->subject) || wait->thread->sent ||
+            (wait->is_cancellable && wait->thread->is_cancelled))
             return wait->number;
     return 0;
 }
@@ -456,7 +451,7 @@ static bool serve(uint8_t *record, size_t size, struct wait **wait)
         return false;
     case RECORD_EXPIRED:
         rig.now_ns = period->time_ns;
-        expire_timer(period->number);
+        expire_alarm(period->number);
         return false;
     case RECORD_CHECK: rig.now_ns = ((struct call *)record)->time_ns; return false;
     case RECORD_TRY:
@@ -516,19 +511,19 @@ void hand_on(void)
     REAL(sem_post)(&next_turn()->thread->baton);
 }
 
-/* Wait until the condition holds, or for the deadline, by the rules of turn. */
-enum result wait_turn(condition *holds, void *subject, int64_t deadline_ns, int flags)
+/* Wait until the condition holds, a signal is sent, or for the deadline, by the rules of turn. */
+static enum result wait_once(condition *holds, void *subject, int64_t deadline_ns, int flags)
 {
     struct thread *me = thread_here;
-    int state, error = errno;
+    int state;
     if (rig.state == AWAITING) join_rig();
     if (!me)
         refuse("thread %ld was not started by pthread_create and has no turn; expected"
                " pthread_create; joins = false lets the program run beside the rig",
                REAL(syscall)(SYS_gettid));
     if (me->waits)
-        refuse("program '%s' waits in a signal handler; expected a flag that its main"
-               " loop looks at",
+        refuse("program '%s' waits in the handler of a signal from outside; expected a flag that"
+               " its main loop looks at",
                rig.name);
     pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &state);
     me->waits = true;
@@ -543,19 +538,49 @@ enum result wait_turn(condition *holds, void *subject, int64_t deadline_ns, int 
     if (mine.result == REFUSED) refuse("program '%s': %s", rig.name, rig.reason);
     pthread_setcancelstate(state, &state);
     if (mine.result == INTERRUPTED) raise(SIGINT);
-    errno = error;
     return mine.result;
 }
 
-/* As wait_turn, for a function that POSIX calls a cancellation point. */
+/* Handle the signals that have ended a wait. Return false if there were none; *result says how the
+ * wait has ended then, INTERRUPTED if it may begin again. */
+static bool is_disturbed(condition *holds, void *subject, int64_t deadline_ns, bool *restarts,
+                         enum result *result)
+{
+    if (!handle_signals(restarts)) return false;
+    *result = holds(subject)                                          ? HOLDS
+              : deadline_ns != NEVER && deadline_ns <= rig.now_ns ? EXPIRED
+                                                                      : INTERRUPTED;
+    return true;
+}
+
+/* Wait until the condition holds, or for the deadline. Signals are handled, and end no wait. */
+enum result wait_turn(condition *holds, void *subject, int64_t deadline_ns, int flags)
+{
+    int error = errno;
+    bool restarts = true;
+    enum result result;
+    do result = wait_once(holds, subject, deadline_ns, flags);
+    while (is_disturbed(holds, subject, deadline_ns, &restarts, &result) && result == INTERRUPTED);
+    errno = error;
+    return result;
+}
+
+/* As wait_turn, for a function that POSIX calls a cancellation point, and that signals end unless
+ * the wait RESTARTS and their handlers allow it. */
 enum result wait_point(condition *holds, void *subject, int64_t deadline_ns, int flags)
 {
-    enum result result = wait_turn(holds, subject, deadline_ns, flags | CANCELLABLE);
-    if (thread_here->is_cancelled) {
-        pthread_testcancel();
-        thread_here->is_cancelled = false; /* it has disabled cancellation */
+    int error = errno;
+    bool restarts = flags & RESTARTS;
+    enum result result;
+    for (;;) {
+        result = wait_once(holds, subject, deadline_ns, flags | CANCELLABLE);
+        if (thread_here->is_cancelled) {
+            pthread_testcancel();
+            thread_here->is_cancelled = false; /* it has disabled cancellation */
+        }
+        if (!is_disturbed(holds, subject, deadline_ns, &restarts, &result)) break;
+        if (result != INTERRUPTED || !restarts) break;
     }
-    if (thread_here->is_interrupted) result = INTERRUPTED;
-    thread_here->is_interrupted = false;
+    errno = error;
     return result;
 }

@@ -1,4 +1,4 @@
-/* Waits for file descriptors, and timers that are descriptors.
+/* Waits for file descriptors.
  *
  * Descriptors stay real: a wait ends when the kernel says that one is ready, which is asked after
  * each event of the rig and each turn of a thread. A CAN socket is one end of a pair of sockets, a
@@ -10,6 +10,7 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <poll.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -17,12 +18,11 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
-#include <sys/eventfd.h>
+#include <sys/file.h>
 #include <sys/ioctl.h>
 #include <sys/select.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
-#include <sys/timerfd.h>
 #include <sys/uio.h>
 #include <unistd.h>
 
@@ -31,33 +31,12 @@ int epoll_pwait2(int, struct epoll_event *, int, const struct timespec *, const 
 int close_range(unsigned, unsigned, int);
 void closefrom(int);
 
-enum { RECORD_EVERY = 21, RECORD_CANCEL, SET_APART_FD = 512 };
-static const int64_t PERIOD_NS_MAX = 1000000000 * (int64_t)NS_PER_S;
-
-struct __attribute__((packed)) every {
-    uint8_t kind;
-    uint32_t number;
-    int64_t period_ns;
-};
-struct __attribute__((packed)) cancel {
-    uint8_t kind;
-    uint32_t number;
-};
-
-struct timer {
-    struct descriptor descriptor;
-    struct timer *next;
-    clockid_t clock;
-    uint32_t number;                         /* of its period in the rig; 0: it does not run */
-    int64_t next_ns, period_ns, interval_ns; /* the period is that in the rig */
-};
+enum { SET_APART_FD = 512 };
 
 static struct descriptor own = {.kind = OWN, .inner = -1};
 static struct descriptor *descriptors[DESCRIPTORS_MAX];
 static bool is_told[DESCRIPTORS_MAX]; /* examined, and named if the other end has another time */
 static bool has_neighbours; /* another program of the rig may end a wait for a descriptor */
-static struct timer *timers;
-static uint32_t next_period = 1;
 
 /* ---- the table ------------------------------------------------------------------------------- */
 
@@ -90,8 +69,6 @@ int set_apart(int fd)
     return fd;
 }
 
-static void cancel_timer(struct timer *timer);
-
 static void release(int fd)
 {
     struct descriptor *descriptor = descriptor_of(fd);
@@ -106,13 +83,7 @@ static void release(int fd)
     }
     if (descriptor->kind == CAN) close_can((struct can_socket *)descriptor);
     if (descriptor->kind == LINE) close_line((struct line_end *)descriptor);
-    if (descriptor->kind == TIMER) {
-        struct timer **place = &timers;
-        while (*place != (struct timer *)descriptor) place = &(*place)->next;
-        *place = (*place)->next;
-        cancel_timer((struct timer *)descriptor);
-        free(descriptor);
-    }
+    if (descriptor->kind == TIMER) close_timer((struct timer *)descriptor);
 }
 
 static bool is_own(int fd)
@@ -167,12 +138,59 @@ EXPORT int dup2(int fd, int copy)
     return dup3(fd, copy, 0);
 }
 
+/* A lock of a file that this or another program holds. */
+struct file_lock {
+    int fd, command; /* an operation of flock(), without a value */
+    void *value;
+    int error; /* 0: it is held now */
+};
+
+static bool takes_lock(void *subject)
+{
+    struct file_lock *lock = subject;
+    if (!lock->error) return true;
+    int result = lock->value ? REAL(fcntl)(lock->fd, lock->command, lock->value)
+                             : REAL(flock)(lock->fd, lock->command);
+    lock->error = result < 0 ? errno : 0;
+    return lock->error != EAGAIN && lock->error != EACCES;
+}
+
+/* Lock a file; wait for the turns of others while they hold it. */
+static int lock_file(int fd, int command, int attempt, void *value)
+{
+    struct file_lock lock = {fd, attempt, value, EAGAIN};
+    enum result result = HOLDS;
+    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits)
+        return value ? REAL(fcntl)(fd, command, value) : REAL(flock)(fd, command);
+    if (!takes_lock(&lock))
+        result = wait_point(takes_lock, &lock, NEVER, ON_PARTIES | ON_PROCESSES | RESTARTS);
+    errno = result == INTERRUPTED ? EINTR : lock.error;
+    return errno ? -1 : 0;
+}
+
+EXPORT int flock(int fd, int operation)
+{
+    if (!(operation & (LOCK_NB | LOCK_UN)))
+        return lock_file(fd, operation, operation | LOCK_NB, NULL);
+    return charged(REAL(flock)(fd, operation));
+}
+
+EXPORT int lockf(int fd, int command, off_t size)
+{
+    struct flock lock = {.l_type = F_WRLCK, .l_whence = SEEK_CUR, .l_len = size};
+    return command == F_LOCK ? fcntl(fd, F_SETLKW, &lock) : REAL(lockf)(fd, command, size);
+}
+
+EXPORT int lockf64(int fd, int command, off64_t size) __attribute__((alias("lockf")));
+
 EXPORT int fcntl(int fd, int command, ...)
 {
     va_list values;
     va_start(values, command);
     void *value = va_arg(values, void *);
     va_end(values);
+    if (command == F_SETLKW) return lock_file(fd, command, F_SETLK, value);
+    if (command == F_OFD_SETLKW) return lock_file(fd, command, F_OFD_SETLK, value);
     int result = REAL(fcntl)(fd, command, value);
     bool is_copy = command == F_DUPFD || command == F_DUPFD_CLOEXEC;
     return is_copy ? duplicate(fd, result) : result;
@@ -269,18 +287,27 @@ static bool is_polled(void *subject)
     return REAL(poll)(polled->fds, polled->count, 0) != 0;
 }
 
-/* Wait as poll does; -1 with EINTR if the rig ends the wait. */
-static enum result wait_for(struct pollfd *fds, nfds_t count, int64_t deadline_ns)
+/* Wait as ppoll does; INTERRUPTED if the rig or a signal ends the wait. */
+static enum result wait_for(struct pollfd *fds, nfds_t count, int64_t deadline_ns,
+                            const sigset_t *mask)
 {
     struct polled polled = {fds, count};
     for (nfds_t i = 0; i < count; i++) look_at(fds[i].fd);
-    return wait_point(is_polled, &polled, deadline_ns, has_neighbours ? ON_PROCESSES : 0);
+    struct thread *me = thread_here;
+    if (me) me->mask = mask;
+    enum result result =
+        wait_point(is_polled, &polled, deadline_ns, has_neighbours ? ON_PROCESSES : 0);
+    thread_here->mask = NULL;
+    return result;
 }
 
+/* Wait as a read does, which begins again after signals unless it has a timeout. */
 enum result wait_for_input(int fd, int64_t deadline_ns)
 {
     struct pollfd input = {.fd = fd, .events = POLLIN};
-    return wait_for(&input, 1, deadline_ns);
+    struct polled polled = {&input, 1};
+    look_at(fd);
+    return wait_point(is_polled, &polled, deadline_ns, deadline_ns == NEVER ? RESTARTS : 0);
 }
 
 static int64_t deadline_in_ms(int ms)
@@ -309,7 +336,7 @@ static int poll_again(struct pollfd *fds, nfds_t count, int64_t deadline_ns, boo
         look();
         return 0;
     }
-    enum result result = wait_for(fds, count, deadline_ns);
+    enum result result = wait_for(fds, count, deadline_ns, mask);
     int ready = REAL(ppoll)(fds, count, &no_time, mask);
     return result == INTERRUPTED && !ready ? interrupted() : ready;
 }
@@ -376,7 +403,7 @@ EXPORT int pselect(int count, fd_set *restrict in, fd_set *restrict out, fd_set 
     bool may_wait = !timeout || duration_ns(timeout) != 0;
     enum result result = HOLDS;
     if (may_wait)
-        result = wait_for(fds, polled_sets(count, sets, fds), deadline_in(timeout));
+        result = wait_for(fds, polled_sets(count, sets, fds), deadline_in(timeout), mask);
     else
         look();
     ready = REAL(pselect)(count, in, out, urgent, &no_time, mask);
@@ -413,7 +440,7 @@ EXPORT int epoll_pwait2(int epoll, struct epoll_event *events, int count,
         return 0;
     }
     struct pollfd input = {.fd = epoll, .events = POLLIN}; /* readable where an event is ready */
-    enum result result = wait_for(&input, 1, deadline_in(timeout));
+    enum result result = wait_for(&input, 1, deadline_in(timeout), mask);
     ready = REAL(epoll_pwait)(epoll, events, count, 0, mask);
     return result == INTERRUPTED && !ready ? interrupted() : ready;
 }
@@ -532,10 +559,46 @@ EXPORT int accept(int fd, struct sockaddr *restrict address, socklen_t *restrict
     return accept4(fd, address, size, 0);
 }
 
+static bool has_room(int fd)
+{
+    struct pollfd output = {.fd = fd, .events = POLLOUT};
+    return REAL(poll)(&output, 1, 0) != 0;
+}
+
+/* Return whether the reader of a descriptor is a thread that needs turns to make room. */
+static bool has_inner_reader(int fd)
+{
+    struct stat file;
+    if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits) return false;
+    if (fstat(fd, &file) < 0 || !is_blocking(fd, 0)) return false;
+    return (S_ISFIFO(file.st_mode) || S_ISSOCK(file.st_mode)) && !outsider(fd);
+}
+
+/* Write in pieces that a pipe takes at once, and wait for room in between. */
+static ssize_t write_inner(int fd, const char *data, size_t size)
+{
+    size_t done = 0;
+    while (done < size) {
+        struct pollfd output = {.fd = fd, .events = POLLOUT};
+        size_t piece = size - done < PIPE_BUF ? size - done : PIPE_BUF;
+        if (!has_room(fd) && wait_for(&output, 1, NEVER, NULL) == INTERRUPTED) {
+            errno = EINTR;
+            break;
+        }
+        ssize_t written = REAL(write)(fd, data + done, piece);
+        if (written < 0) break;
+        done += written;
+    }
+    return done || !size ? (ssize_t)done : -1;
+}
+
 EXPORT ssize_t write(int fd, const void *data, size_t size)
 {
     if (is_line(fd)) return send_line(fd, data, size, 0);
-    return is_can(fd) ? can_send(fd, data, size, NULL, 0) : REAL(write)(fd, data, size);
+    if (is_can(fd)) return can_send(fd, data, size, NULL, 0);
+    bool may_block = size > PIPE_BUF || (rig.state == JOINED && !has_room(fd));
+    if (may_block && has_inner_reader(fd)) return write_inner(fd, data, size);
+    return REAL(write)(fd, data, size);
 }
 
 EXPORT ssize_t writev(int fd, const struct iovec *parts, int count)
@@ -569,111 +632,4 @@ EXPORT int ioctl(int fd, unsigned long request, ...)
     int result = can_ioctl(fd, request, argument, &is_known);
     if (!is_known) result = line_ioctl(fd, request, argument, &is_known);
     return is_known ? result : REAL(ioctl)(fd, request, argument);
-}
-
-/* ---- timers ---------------------------------------------------------------------------------- */
-
-static void cancel_timer(struct timer *timer)
-{
-    struct cancel record = {RECORD_CANCEL, timer->number};
-    if (timer->number && rig.state == JOINED) send_record(&record, sizeof record);
-    timer->number = 0;
-}
-
-static void start_timer(struct timer *timer, int64_t period_ns)
-{
-    if (period_ns > PERIOD_NS_MAX) period_ns = PERIOD_NS_MAX;
-    struct every record = {RECORD_EVERY, timer->number = next_period++, period_ns};
-    timer->period_ns = period_ns;
-    timer->next_ns = rig.now_ns + period_ns;
-    send_record(&record, sizeof record);
-}
-
-static void count_expiry(struct timer *timer, uint64_t count)
-{
-    if (REAL(write)(timer->descriptor.inner, &count, sizeof count) < 0 && errno != EAGAIN)
-        refuse("program '%s': a timer has lost its descriptor", rig.name);
-}
-
-void expire_timer(uint32_t number)
-{
-    for (struct timer *timer = timers; timer; timer = timer->next) {
-        if (timer->number != number) continue;
-        count_expiry(timer, 1);
-        if (timer->period_ns == timer->interval_ns) {
-            timer->next_ns += timer->interval_ns;
-            return;
-        }
-        cancel_timer(timer); /* its first period had another length, or was the only one */
-        if (timer->interval_ns) start_timer(timer, timer->interval_ns);
-        return;
-    }
-}
-
-EXPORT int timerfd_create(clockid_t clock, int flags)
-{
-    if (!in_rig()) return REAL(timerfd_create)(clock, flags);
-    if (rig.state == AWAITING) join_rig();
-    struct timer *timer = calloc(1, sizeof *timer);
-    int fd = timer ? eventfd(0, flags & (TFD_NONBLOCK | TFD_CLOEXEC)) : -1;
-    if (fd < 0) return -1;
-    timer->clock = clock;
-    timer->descriptor =
-        (struct descriptor){.kind = TIMER, .inner = set_apart(REAL(fcntl)(fd, F_DUPFD, 0))};
-    timer->next = timers;
-    timers = timer;
-    keep(fd, &timer->descriptor);
-    return fd;
-}
-
-static struct timer *timer_of(int fd)
-{
-    struct descriptor *descriptor = descriptor_of(fd);
-    return descriptor && descriptor->kind == TIMER ? (struct timer *)descriptor : NULL;
-}
-
-static struct itimerspec setting_of(const struct timer *timer)
-{
-    int64_t left_ns = timer->number ? timer->next_ns - rig.now_ns : 0;
-    return (struct itimerspec){timespec_of(timer->interval_ns), timespec_of(left_ns)};
-}
-
-EXPORT int timerfd_gettime(int fd, struct itimerspec *setting)
-{
-    struct timer *timer = timer_of(fd);
-    if (!timer) return REAL(timerfd_gettime)(fd, setting);
-    look();
-    *setting = setting_of(timer);
-    return 0;
-}
-
-EXPORT int timerfd_settime(int fd, int flags, const struct itimerspec *setting,
-                           struct itimerspec *old)
-{
-    struct timer *timer = timer_of(fd);
-    struct pollfd input = {.fd = fd, .events = POLLIN};
-    uint64_t count;
-    if (!timer) return REAL(timerfd_settime)(fd, flags, setting, old);
-    if (!is_duration(&setting->it_value) || !is_duration(&setting->it_interval)) {
-        errno = EINVAL;
-        return -1;
-    }
-    if (old) *old = setting_of(timer);
-    cancel_timer(timer);
-    if (REAL(poll)(&input, 1, 0) > 0 && REAL(read)(fd, &count, sizeof count) < 0) return -1;
-    timer->interval_ns = duration_ns(&setting->it_interval);
-    int64_t first_ns = duration_ns(&setting->it_value);
-    if (!first_ns) return 0;
-    if (!(flags & TFD_TIMER_ABSTIME)) {
-        start_timer(timer, deadline_after(first_ns) - rig.now_ns);
-        return 0;
-    }
-    first_ns -= base_ns(timer->clock) + rig.now_ns;
-    if (first_ns <= 0) { /* an instant that has passed: expirations since, the next in the grid */
-        count_expiry(timer, timer->interval_ns ? 1 - first_ns / timer->interval_ns : 1);
-        if (!timer->interval_ns) return 0;
-        first_ns = timer->interval_ns - -first_ns % timer->interval_ns;
-    }
-    start_timer(timer, first_ns);
-    return 0;
 }

@@ -12,6 +12,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <netdb.h>
+#include <linux/serial.h>
 #include <netinet/in.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -45,6 +46,8 @@ struct line_end {
     bool has_ended, is_told;
     int64_t free_ns; /* when the last character of the program has been sent */
     struct termios settings;
+    unsigned rate;    /* that has no name in termios; 0: one of those in the settings [bit/s] */
+    int driver_flags; /* of TIOCSSERIAL */
     struct sockaddr_storage peer;
     socklen_t peer_size;
 };
@@ -333,6 +336,13 @@ EXPORT int getpeername(int fd, struct sockaddr *restrict address, socklen_t *res
     return 0;
 }
 
+EXPORT int shutdown(int fd, int how)
+{
+    struct line_end *end = end_of(fd);
+    if (end && how != SHUT_RD) end->has_ended = true; /* for writing */
+    return REAL(shutdown)(fd, how);
+}
+
 /* Options of TCP and IP have no effect on a line. */
 bool is_option_of_line(int fd, int level)
 {
@@ -369,11 +379,12 @@ bool hear_line(unsigned number, int64_t time_ns, bool is_transmitted, const void
     if (!end || is_transmitted) return end != NULL;
     if (!size) {
         end->has_ended = true;
-        shutdown(end->descriptor.inner, SHUT_WR);
+        REAL(shutdown)(end->descriptor.inner, SHUT_WR);
         return true;
     }
     end->line->silent_ns = time_ns + end->line->silence_ns;
-    if (REAL(send)(end->descriptor.inner, data, size, MSG_DONTWAIT | MSG_NOSIGNAL) < 0)
+    if (REAL(send)(end->descriptor.inner, data, size, MSG_DONTWAIT | MSG_NOSIGNAL) < 0 &&
+        errno != EPIPE) /* the program reads no more */
         tell_end(end, "too many characters are not read; the others are lost");
     return true;
 }
@@ -441,8 +452,14 @@ static bool is_hardware(const char *path)
            !strncmp(path, "/dev/serial/", 12) || !strncmp(path, "/dev/rfcomm", 11);
 }
 
+/* Return whether a path is the serial port of a line, or of hardware. */
+bool is_serial(const char *path)
+{
+    return path && *path == '/' && in_rig() && (find_line(path, 0) || is_hardware(path));
+}
+
 /* Open the serial port of a line. Return false for all other files. */
-static bool open_port(const char *path, int flags, int *fd)
+bool open_serial(const char *path, int flags, int *fd)
 {
     struct line_end *end;
     if (!path || *path != '/' || !in_rig()) return false;
@@ -469,7 +486,7 @@ EXPORT int open(const char *path, int flags, ...)
     va_start(values, flags);
     mode_t mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(values, mode_t) : 0;
     va_end(values);
-    return open_port(path, flags, &fd) ? fd : REAL(open)(path, flags, mode);
+    return open_serial(path, flags, &fd) ? fd : REAL(open)(path, flags, mode);
 }
 
 EXPORT int open64(const char *path, int flags, ...) __attribute__((alias("open")));
@@ -482,6 +499,28 @@ EXPORT int __open_2(const char *path, int flags)
 EXPORT int __open64_2(const char *path, int flags)
 {
     return open(path, flags);
+}
+
+EXPORT int openat(int folder, const char *path, int flags, ...)
+{
+    int fd;
+    va_list values;
+    va_start(values, flags);
+    mode_t mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(values, mode_t) : 0;
+    va_end(values);
+    return open_serial(path, flags, &fd) ? fd : REAL(openat)(folder, path, flags, mode);
+}
+
+EXPORT int openat64(int folder, const char *path, int flags, ...) __attribute__((alias("openat")));
+
+EXPORT int __openat_2(int folder, const char *path, int flags)
+{
+    return openat(folder, path, flags);
+}
+
+EXPORT int __openat64_2(int folder, const char *path, int flags)
+{
+    return openat(folder, path, flags);
 }
 
 EXPORT int isatty(int fd)
@@ -513,11 +552,11 @@ static unsigned rate_of(speed_t speed)
     return 0;
 }
 
-static void compare(struct line_end *end)
+/* Tell of a bit rate or characters that differ from those of the line. */
+static void compare(struct line_end *end, unsigned rate)
 {
     tcflag_t flags = end->settings.c_cflag;
     const struct line *line = end->line;
-    unsigned rate = rate_of(cfgetospeed(&end->settings));
     char format[8], text[256];
     int bits = 5 + ((flags & CSIZE) == CS6) + 2 * ((flags & CSIZE) == CS7) +
                3 * ((flags & CSIZE) == CS8);
@@ -547,7 +586,8 @@ EXPORT int tcsetattr(int fd, int when, const struct termios *settings)
     if (when != TCSANOW) drain(end);
     if (when == TCSAFLUSH) flush_input(fd);
     end->settings = *settings;
-    if (settings->c_lflag != first_settings.c_lflag) compare(end); /* else it restores them */
+    if (settings->c_lflag != first_settings.c_lflag) /* else it restores them */
+        compare(end, rate_of(cfgetospeed(settings)));
     return 0;
 }
 
@@ -576,13 +616,72 @@ EXPORT int tcflow(int fd, int action)
     return serial_end_of(fd) ? 0 : REAL(tcflow)(fd, action);
 }
 
-/* Requests to a serial port: signals, and counts of characters. */
+/* Settings as the kernel has them. <asm/termbits.h> cannot be included beside <termios.h>. */
+struct kernel_settings {
+    tcflag_t iflag, oflag, cflag, lflag;
+    cc_t line, cc[19];
+    speed_t ispeed, ospeed; /* of the requests with a 2 [bit/s] */
+};
+enum { GETS2 = 0x802C542A, SETS2 = 0x402C542B, SETSW2, SETSF2, ANY_RATE = 010000 };
+
+static void get_settings(const struct line_end *end, struct kernel_settings *own, size_t size)
+{
+    const struct termios *settings = &end->settings;
+    struct kernel_settings found = {
+        .iflag = settings->c_iflag,
+        .oflag = settings->c_oflag,
+        .cflag = settings->c_cflag,
+        .lflag = settings->c_lflag,
+        .line = settings->c_line,
+    };
+    memcpy(found.cc, settings->c_cc, sizeof found.cc);
+    found.ispeed = found.ospeed = end->rate ? end->rate : rate_of(cfgetospeed(settings));
+    memcpy(own, &found, size);
+}
+
+static int set_settings(int fd, struct line_end *end, unsigned long when,
+                        const struct kernel_settings *own, bool has_rate)
+{
+    struct termios settings = end->settings;
+    settings.c_iflag = own->iflag;
+    settings.c_oflag = own->oflag;
+    settings.c_cflag = own->cflag;
+    settings.c_lflag = own->lflag;
+    settings.c_line = own->line;
+    memcpy(settings.c_cc, own->cc, sizeof own->cc);
+    settings.c_ospeed = settings.c_ispeed = own->cflag & (CBAUD | CBAUDEX);
+    int result = tcsetattr(fd, when, &settings);
+    end->rate = has_rate && (own->cflag & CBAUD) == ANY_RATE ? own->ospeed : 0;
+    if (end->rate) compare(end, end->rate);
+    return result;
+}
+
+/* Requests to a serial port: settings, signals, and counts of characters. */
 int line_ioctl(int fd, unsigned long request, void *argument, bool *is_known)
 {
     struct line_end *end = serial_end_of(fd);
     if (!end || request == FIONREAD) return 0;
     *is_known = true;
     switch (request) {
+    case TCGETS: get_settings(end, argument, offsetof(struct kernel_settings, ispeed)); return 0;
+    case GETS2: get_settings(end, argument, sizeof(struct kernel_settings)); return 0;
+    case TCSETS:
+    case TCSETSW:
+    case TCSETSF: return set_settings(fd, end, request - TCSETS, argument, false);
+    case SETS2:
+    case SETSW2:
+    case SETSF2: return set_settings(fd, end, request - SETS2, argument, true);
+    case TCSBRK: return argument ? tcdrain(fd) : 0;
+    case TCFLSH: return tcflush(fd, (int)(intptr_t)argument);
+    case TIOCGSERIAL:
+        *(struct serial_struct *)argument = (struct serial_struct){.flags = end->driver_flags};
+        return 0;
+    case TIOCSSERIAL: {
+        int flags = ((struct serial_struct *)argument)->flags;
+        if ((flags & ASYNC_SPD_MASK) == ASYNC_SPD_CUST) return failed(EINVAL); /* a divisor */
+        end->driver_flags = flags;
+        return 0;
+    }
     case TIOCMGET: *(int *)argument = TIOCM_DTR | TIOCM_RTS | TIOCM_CTS | TIOCM_DSR; return 0;
     case TIOCOUTQ: {
         int64_t left_ns = end->free_ns > rig.now_ns ? end->free_ns - rig.now_ns : 0;

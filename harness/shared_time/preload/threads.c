@@ -13,7 +13,6 @@
 #include <linux/futex.h>
 #include <sched.h>
 #include <signal.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -27,7 +26,8 @@ int pthread_rwlock_clockwrlock(pthread_rwlock_t *, clockid_t, const struct times
 int pthread_clockjoin_np(pthread_t, void **, clockid_t, const struct timespec *);
 
 enum { PARTIES_MAX = 1024 };   /* of a program, in the rig */
-static struct thread *threads; /* that have been started and not joined */
+enum { SHARED = 128 };         /* by processes: a mutex or semaphore of glibc */
+struct thread *threads;        /* that have been started and not joined */
 static uint16_t party_count = 1, free_parties[PARTIES_MAX];
 static int free_count;
 static pthread_key_t at_end;
@@ -53,6 +53,7 @@ void note_main_thread(void)
 {
     first_thread.id = pthread_self();
     first_thread.task = REAL(syscall)(SYS_gettid);
+    first_thread.has_begun = true;
     sem_init(&first_thread.baton, 0, 0);
     pthread_key_create(&at_end, end_thread);
     pthread_setspecific(at_end, &first_thread);
@@ -67,6 +68,7 @@ static void *run_thread(void *argument)
     await_baton(me);
     free(me->first_wait);
     me->waits = false;
+    me->has_begun = true;
     return me->start(me->argument);
 }
 
@@ -75,6 +77,19 @@ static struct thread **place_of(pthread_t id)
     struct thread **place = &threads;
     while (*place && !pthread_equal((*place)->id, id)) place = &(*place)->next;
     return place;
+}
+
+struct thread *thread_of(pthread_t id)
+{
+    return *place_of(id);
+}
+
+/* Return the thread with this number in the kernel, or NULL. */
+struct thread *thread_of_task(pid_t task)
+{
+    struct thread *thread = threads;
+    while (thread && (thread->task != task || thread->has_finished)) thread = thread->next;
+    return thread;
 }
 
 static void forget(pthread_t id)
@@ -173,31 +188,6 @@ EXPORT int pthread_cancel(pthread_t id)
     return REAL(pthread_cancel)(id);
 }
 
-/* Let a signal with a handler end the wait of a thread, as one that arrives on the wall does. */
-static void interrupt(struct thread *thread, int number)
-{
-    struct sigaction action;
-    if (!thread || thread == thread_here || !thread->waits) return;
-    if (sigaction(number, NULL, &action) < 0) return;
-    bool is_handled = action.sa_handler != SIG_IGN && action.sa_handler != SIG_DFL;
-    thread->is_interrupted |= is_handled;
-}
-
-EXPORT int pthread_kill(pthread_t id, int number)
-{
-    int error = REAL(pthread_kill)(id, number);
-    if (!error && number && rig.state == JOINED && in_rig()) interrupt(*place_of(id), number);
-    return error;
-}
-
-EXPORT int kill(pid_t process, int number)
-{
-    int result = REAL(kill)(process, number);
-    bool is_own = rig.state == JOINED && process == rig.pid;
-    if (!result && number && is_own && in_rig()) interrupt(&first_thread, number);
-    return result;
-}
-
 EXPORT int sched_yield(void)
 {
     if (rig.state != JOINED || !in_rig() || !thread_here || thread_here->waits)
@@ -205,6 +195,13 @@ EXPORT int sched_yield(void)
     look();
     wait_turn(never, NULL, rig.now_ns, 0);
     return 0;
+}
+
+/* Return the flags of a wait for other threads; also for those of other programs, if its object is
+ * in memory that they share. */
+static int on_peers(bool is_shared)
+{
+    return ON_PARTIES | (is_shared ? ON_PROCESSES : 0);
 }
 
 /* ---- mutexes --------------------------------------------------------------------------------- */
@@ -226,11 +223,11 @@ static bool is_held_beside(const pthread_mutex_t *mutex)
 
 static int lock_until(pthread_mutex_t *mutex, int64_t deadline_ns)
 {
-    int error;
+    int error, flags = on_peers(mutex->__data.__kind & SHARED);
     while ((error = REAL(pthread_mutex_trylock)(mutex)) == EBUSY)
         if (is_held_beside(mutex))
             REAL(sched_yield)();
-        else if (wait_turn(is_free, mutex, deadline_ns, ON_PARTIES) == EXPIRED)
+        else if (wait_turn(is_free, mutex, deadline_ns, flags) == EXPIRED)
             return ETIMEDOUT;
     return error;
 }
@@ -292,15 +289,48 @@ static int wake(const void *address, int count, uint32_t bits)
     return woken;
 }
 
+_Noreturn static void refuse_shared(const char *call)
+{
+    refuse("program '%s' calls %s() for an object that processes share: not supported in the rig's"
+           " time; expected a semaphore or a mutex; joins = false lets the program run beside the"
+           " rig",
+           rig.name, call);
+}
+
+/* Processes that share a condition variable count its signals in its memory. Each signal wakes all
+ * that wait, as POSIX allows. */
+struct listener {
+    const unsigned *signals;
+    unsigned before;
+};
+
+static bool is_cond_shared(const pthread_cond_t *cond)
+{
+    return cond->__data.__wrefs & 1;
+}
+
+static unsigned *signals_of(pthread_cond_t *cond)
+{
+    return &cond->__data.__g_size[0]; /* which glibc's functions use, that these replace */
+}
+
+static bool is_signalled(void *listener)
+{
+    return *((struct listener *)listener)->signals != ((struct listener *)listener)->before;
+}
+
 static int cond_until(pthread_cond_t *cond, pthread_mutex_t *mutex, int64_t deadline_ns)
 {
     struct sleeper mine = {.address = cond, .bits = ~0u};
+    struct listener shared = {signals_of(cond), *signals_of(cond)};
+    bool is_shared = is_cond_shared(cond);
     int error = pthread_mutex_unlock(mutex);
     if (error) return error;
-    enum result result = wait_turn(is_woken, &mine, deadline_ns, ON_PARTIES | CANCELLABLE);
+    enum result result = wait_turn(is_shared ? is_signalled : is_woken,
+                                   is_shared ? (void *)&shared : &mine, deadline_ns,
+                                   on_peers(is_shared) | CANCELLABLE);
     error = lock_until(mutex, NEVER);
     if (thread_here->is_cancelled) pthread_testcancel();
-    thread_here->is_interrupted = false; /* which POSIX allows as a spurious end */
     return error ? error : result == EXPIRED ? ETIMEDOUT : 0;
 }
 
@@ -329,6 +359,7 @@ EXPORT int pthread_cond_clockwait(pthread_cond_t *cond, pthread_mutex_t *mutex, 
 EXPORT int pthread_cond_signal(pthread_cond_t *cond)
 {
     if (!in_rig()) return REAL(pthread_cond_signal)(cond);
+    if (is_cond_shared(cond)) ++*signals_of(cond);
     wake(cond, 1, ~0u);
     return 0;
 }
@@ -336,6 +367,7 @@ EXPORT int pthread_cond_signal(pthread_cond_t *cond)
 EXPORT int pthread_cond_broadcast(pthread_cond_t *cond)
 {
     if (!in_rig()) return REAL(pthread_cond_broadcast)(cond);
+    if (is_cond_shared(cond)) ++*signals_of(cond);
     wake(cond, INT_MAX, ~0u);
     return 0;
 }
@@ -373,11 +405,97 @@ static int rwlock_until(pthread_rwlock_t *lock, int (*attempt)(pthread_rwlock_t 
 RWLOCK(rd)
 RWLOCK(wr)
 
+EXPORT int pthread_rwlock_init(pthread_rwlock_t *restrict lock,
+                               const pthread_rwlockattr_t *restrict attributes)
+{
+    int is_shared = 0;
+    if (attributes) pthread_rwlockattr_getpshared(attributes, &is_shared);
+    if (is_shared && in_rig()) refuse_shared("pthread_rwlock_init");
+    return REAL(pthread_rwlock_init)(lock, attributes);
+}
+
 EXPORT int pthread_rwlock_unlock(pthread_rwlock_t *lock)
 {
     int error = REAL(pthread_rwlock_unlock)(lock);
     if (!error && in_rig()) wake(lock, INT_MAX, ~0u); /* each tries again, the longest first */
     return error;
+}
+
+/* ---- pthread_once ---------------------------------------------------------------------------- */
+
+enum { ONCE_RUNS = 1, ONCE_DONE = 2 }; /* bits of a pthread_once_t in glibc */
+
+static bool runs_no_more(void *once)
+{
+    return (*(pthread_once_t *)once & (ONCE_RUNS | ONCE_DONE)) != ONCE_RUNS;
+}
+
+/* Wait for a thread that runs the function, which may wait itself. */
+EXPORT int pthread_once(pthread_once_t *once, void (*function)(void))
+{
+    if (rig.state == JOINED && !runs_no_more(once) && in_rig() && thread_here &&
+        !thread_here->waits)
+        wait_turn(runs_no_more, once, NEVER, ON_PARTIES);
+    return REAL(pthread_once)(once, function);
+}
+
+/* ---- barriers -------------------------------------------------------------------------------- */
+
+static struct barrier {
+    struct barrier *next;
+    const void *address;
+    unsigned count, waiting;
+} *barriers;
+
+static struct barrier **barrier_at(const void *address)
+{
+    struct barrier **place = &barriers;
+    while (*place && (*place)->address != address) place = &(*place)->next;
+    return place;
+}
+
+EXPORT int pthread_barrier_init(pthread_barrier_t *restrict address,
+                                const pthread_barrierattr_t *restrict attributes, unsigned count)
+{
+    int is_shared = 0, error = REAL(pthread_barrier_init)(address, attributes, count);
+    if (error || !in_rig()) return error;
+    if (attributes) pthread_barrierattr_getpshared(attributes, &is_shared);
+    if (is_shared) refuse_shared("pthread_barrier_init");
+    struct barrier *barrier = *barrier_at(address);
+    if (!barrier) barrier = malloc(sizeof *barrier);
+    if (!barrier) return ENOMEM;
+    if (!*barrier_at(address)) {
+        barrier->next = barriers;
+        barriers = barrier;
+    }
+    barrier->address = address;
+    barrier->count = count;
+    barrier->waiting = 0;
+    return 0;
+}
+
+EXPORT int pthread_barrier_destroy(pthread_barrier_t *address)
+{
+    struct barrier **place = barrier_at(address), *barrier = *place;
+    if (barrier) {
+        *place = barrier->next;
+        free(barrier);
+    }
+    return REAL(pthread_barrier_destroy)(address);
+}
+
+EXPORT int pthread_barrier_wait(pthread_barrier_t *address)
+{
+    struct barrier *barrier = in_rig() ? *barrier_at(address) : NULL;
+    struct sleeper mine = {.address = address, .bits = ~0u};
+    if (!barrier) return REAL(pthread_barrier_wait)(address);
+    if (++barrier->waiting == barrier->count) {
+        barrier->waiting = 0;
+        wake(address, INT_MAX, ~0u);
+        return PTHREAD_BARRIER_SERIAL_THREAD;
+    }
+    wait_turn(is_woken, &mine, NEVER, ON_PARTIES);
+    return 0;
 }
 
 /* ---- semaphores ------------------------------------------------------------------------------ */
@@ -391,9 +509,10 @@ static bool has_count(void *semaphore)
 
 static int sem_until(sem_t *semaphore, int64_t deadline_ns)
 {
+    int flags = RESTARTS | on_peers(((const int *)semaphore)[sizeof(long) / sizeof(int)] & SHARED);
     while (REAL(sem_trywait)(semaphore) < 0) {
         if (errno != EAGAIN) return -1;
-        enum result result = wait_point(has_count, semaphore, deadline_ns, ON_PARTIES);
+        enum result result = wait_point(has_count, semaphore, deadline_ns, flags);
         if (result == HOLDS) continue;
         errno = result == EXPIRED ? ETIMEDOUT : EINTR;
         return -1;
@@ -428,11 +547,10 @@ EXPORT int sem_trywait(sem_t *semaphore)
     return result;
 }
 
-/* ---- system calls by number: futexes of std::future, static variables, Rust -------------------
- */
+/* ---- futexes: of std::future, static variables, Rust ----------------------------------------- */
 
-static long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
-                  uint32_t bits)
+long futex(uint32_t *word, int operation, uint32_t value, const struct timespec *time,
+           uint32_t bits)
 {
     bool is_absolute = (operation & FUTEX_CMD_MASK) == FUTEX_WAIT_BITSET;
     struct sleeper mine = {.address = word, .bits = is_absolute ? bits : ~0u};
@@ -458,21 +576,4 @@ static long futex(uint32_t *word, int operation, uint32_t value, const struct ti
     if (result == HOLDS) return 0;
     errno = result == EXPIRED ? ETIMEDOUT : EINTR;
     return -1;
-}
-
-EXPORT long syscall(long number, ...)
-{
-    long a[6];
-    va_list values;
-    va_start(values, number);
-    for (int i = 0; i < 6; i++) a[i] = va_arg(values, long);
-    va_end(values);
-    if (in_rig()) switch (number) {
-        case SYS_futex: return futex((uint32_t *)a[0], a[1], a[2], (void *)a[3], a[5]);
-        case SYS_clock_gettime: return clock_gettime(a[0], (void *)a[1]);
-        case SYS_nanosleep: return nanosleep((void *)a[0], (void *)a[1]);
-        case SYS_clock_nanosleep:
-            return (errno = clock_nanosleep(a[0], a[1], (void *)a[2], (void *)a[3])) ? -1 : 0;
-        }
-    return REAL(syscall)(number, a[0], a[1], a[2], a[3], a[4], a[5]);
 }

@@ -1,4 +1,4 @@
-"""Waits for descriptors in virtual time: selectors, `select`, and sockets.
+"""Waits for descriptors in virtual time: selectors, `select`, `poll`, `epoll`, and sockets.
 
 A party may wait for a descriptor whose other end is in its own program: a pipe, a pair of sockets,
 an eventfd. Only a party can change it, so the wait looks at it whenever something has happened.
@@ -16,7 +16,7 @@ import stat
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import wraps
-from typing import Any, Final
+from typing import Any, Final, final
 
 from motorhil.harness.virtual_time.stdlib.lines import are_among
 from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
@@ -28,12 +28,16 @@ _OF_RELATIVES: Final = (_FOREIGN_PIPE, "anon_inode:[pidfd]")
 _RECEIVING: Final = (
     *("accept", "recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
 )
-_select = select.select
+_HARDWARE: Final = "it would command hardware, not the rig"
+_CAN: Final = "use python-can, whose buses are the rig's"
+_READY: Final = select.POLLIN | select.POLLPRI | select.POLLOUT
+_select, _poll, _epoll = select.select, select.poll, select.epoll
+_new_socket = socket.socket.__init__
 
 
 def stand_ins() -> list[tuple[object, object]]:
     """Return (original, stand-in) for the functions that wait for descriptors."""
-    return [(_select, select_in_virtual_time)]
+    return [(_select, select_in_virtual_time), (_poll, poll_in_virtual_time), (_epoll, Epoll)]
 
 
 def methods() -> list[tuple[type, str, object]]:
@@ -44,6 +48,7 @@ def methods() -> list[tuple[type, str, object]]:
         if isinstance(kind, type) and kind.__name__ == name and "select" in vars(kind)
     ]
     return [
+        (socket.socket, "__init__", _opening),
         *((kind, "select", _selecting(kind)) for kind in kinds),
         *((socket.socket, name, _receiving(name)) for name in _RECEIVING),
     ]
@@ -71,6 +76,130 @@ def select_in_virtual_time(
     every = [one if isinstance(one, int) else one.fileno() for some in sets for one in some]
     _wait("select.select", _POLL, look, timeout, every)
     return found
+
+
+def _found(
+    name: str, ask: Callable[[], list[Any]], timeout_s: float | None, ends: Iterable[int]
+) -> list[Any]:
+    """Wait until `ask` finds events, which it may do once for each; return them."""
+    found: list[Any] = []
+
+    def look() -> bool:
+        nonlocal found
+        found = found or ask()
+        return len(found) > 0
+
+    _wait(name, _POLL, look, None if timeout_s is not None and timeout_s < 0 else timeout_s, ends)
+    return found
+
+
+@final
+class _Poll:
+    """Stand-in for what select.poll returns."""
+
+    def __init__(self) -> None:
+        self._poll: Final = _poll()
+        self._ends: Final[set[int]] = set()
+
+    def register(self, fd: Any, eventmask: int = _READY, /) -> None:
+        """Add a descriptor, or change its events."""
+        self._poll.register(fd, eventmask)
+        self._ends.add(_number_of(fd))
+
+    def modify(self, fd: Any, eventmask: int, /) -> None:
+        """Change the events of a descriptor."""
+        self._poll.modify(fd, eventmask)
+
+    def unregister(self, fd: Any, /) -> None:
+        """Remove a descriptor."""
+        self._poll.unregister(fd)
+        self._ends.discard(_number_of(fd))
+
+    def poll(self, timeout: float | None = None, /) -> list[tuple[int, int]]:
+        """Wait up to this time [ms]; return (descriptor, events)."""
+        if not is_meant():
+            return self._poll.poll(timeout)
+        timeout_s = None if timeout is None else timeout / 1e3
+        return _found("select.poll", lambda: self._poll.poll(0), timeout_s, self._ends)
+
+
+@wraps(_poll)
+def poll_in_virtual_time() -> Any:
+    """Stand in for select.poll."""
+    return _Poll() if is_meant() else _poll()
+
+
+@final
+class Epoll:
+    """Stand-in for select.epoll."""
+
+    def __init__(self, sizehint: int = -1, flags: int = 0) -> None:
+        self._epoll = _epoll(sizehint, flags)
+        self._ends: Final[set[int]] = set()
+
+    @classmethod
+    def fromfd(cls, fd: int, /) -> "Epoll":
+        """Return one on an existing descriptor; the ends within it are not known."""
+        own = cls()
+        own._epoll.close()
+        own._epoll = _epoll.fromfd(fd)
+        return own
+
+    def __enter__(self) -> "Epoll":
+        """Return itself."""
+        self._epoll.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is closed."""
+        return self._epoll.closed
+
+    def close(self) -> None:
+        """Close it."""
+        self._epoll.close()
+
+    def fileno(self) -> int:
+        """Return its descriptor."""
+        return self._epoll.fileno()
+
+    def register(self, fd: Any, eventmask: int = _READY) -> None:
+        """Add a descriptor."""
+        self._epoll.register(fd, eventmask)
+        self._ends.add(_number_of(fd))
+
+    def modify(self, fd: Any, eventmask: int) -> None:
+        """Change the events of a descriptor."""
+        self._epoll.modify(fd, eventmask)
+
+    def unregister(self, fd: Any) -> None:
+        """Remove a descriptor."""
+        self._epoll.unregister(fd)
+        self._ends.discard(_number_of(fd))
+
+    def poll(self, timeout: float | None = None, maxevents: int = -1) -> list[tuple[int, int]]:
+        """Wait up to this time [s]; return (descriptor, events)."""
+        if not is_meant():
+            return self._epoll.poll(timeout, maxevents)
+        return _found("select.epoll", lambda: self._epoll.poll(0, maxevents), timeout, self._ends)
+
+
+def _number_of(fd: Any) -> int:
+    return fd if isinstance(fd, int) else int(fd.fileno())
+
+
+@wraps(_new_socket)
+def _opening(
+    own: socket.socket, family: int = -1, type: int = -1, proto: int = -1, fileno: Any = None
+) -> None:
+    """Stand in for the constructor of socket.socket, which opens none on real CAN interfaces."""
+    if family == socket.AF_CAN and fileno is None and is_meant():
+        refuse("socket.socket(AF_CAN)", _HARDWARE, _CAN)
+    _new_socket(own, family, type, proto, fileno)
 
 
 def _selecting(kind: type) -> Callable[..., Any]:

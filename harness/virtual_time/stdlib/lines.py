@@ -10,6 +10,7 @@ A serial port has the bit rate of its line. A program that sets another one is t
 
 import errno
 import fcntl
+import io
 import ipaddress
 import os
 import re
@@ -58,13 +59,15 @@ _ACCEPTED: Final = frozenset(
     | {0x5427, 0x5428, 0x541E, 0x541F, 0x542F}  # TIOCSBRK, -CBRK, TIOCGSERIAL, -SSERIAL, TIOCSRS485
 )
 _OWN_PORT: Final = 49_152  # the first that is free for clients
+_VTIME_S: Final = 0.1
 _FLUSHED: Final = (termios.TCIFLUSH, termios.TCIOFLUSH)
 
 _open, _read, _write, _isatty = os.open, os.read, os.write, os.isatty
+_open_file = io.open
 _connect, _connect_ex = socket.socket.connect, socket.socket.connect_ex
 _setsockopt, _getsockopt = socket.socket.setsockopt, socket.socket.getsockopt
 _getpeername, _getsockname = socket.socket.getpeername, socket.socket.getsockname
-_select = select.select
+_select, _poll = select.select, select.poll
 _getaddrinfo, _ioctl = socket.getaddrinfo, fcntl.ioctl
 _OPTION_LEVELS: Final = (socket.IPPROTO_TCP, socket.IPPROTO_IP, socket.IPPROTO_IPV6)
 
@@ -173,10 +176,19 @@ class _End:
                 return True
             except OSError:
                 data = b""
+            if not data and self._may_read():
+                self._pass_on()
+                return True
             if not data:
                 self.close()
                 return False
             self._send(data)
+
+    def _may_read(self) -> bool:
+        """Return whether the program has shut its end down only for writing."""
+        poll = _poll()
+        poll.register(self._inner, 0)  # POLLHUP is always told: both ways are shut
+        return not poll.poll(0)
 
     def _send(self, data: bytes) -> None:
         now_ns = self.runtime.now_ns()
@@ -237,6 +249,16 @@ class _End:
         own = f"{self.bus.bitrate_bit_s} bit/s, 8{self.bus.parity}{self.bus.stop_bits}"
         if asked != own:
             self._tell(f"opened with {asked}; line {self.bus.name} has {own}, which is used")
+
+    def read_limit_s(self) -> float | None:
+        """Return how long a blocking read waits [s]: VTIME, if VMIN is 0; None without a limit."""
+        if self.settings is None or self.settings[3] & termios.ICANON:
+            return None
+        least, limit = (
+            one if isinstance(one, int) else one[0]
+            for one in (self.settings[6][termios.VMIN], self.settings[6][termios.VTIME])
+        )
+        return None if least else limit * _VTIME_S
 
     def forget(self) -> None:
         """Drop what the program has not read and its descriptor has no space for."""
@@ -407,6 +429,7 @@ def stand_ins() -> list[tuple[object, object]]:
     """Return (original, stand-in) for the functions that open and use lines."""
     return [
         (_open, _opened),
+        (_open_file, _opened_file),
         (_read, _reading),
         (_write, _writing),
         (_isatty, _is_terminal),
@@ -548,12 +571,120 @@ def _opened(path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = No
     return fd
 
 
+@final
+class _LineFile(io.RawIOBase):
+    """A file on a descriptor that is open on a line, as io.FileIO is for all others."""
+
+    def __init__(self, fd: int, end: _End, mode: str, keeps: bool) -> None:
+        self.name = fd
+        self.mode = mode
+        self._fd = fd
+        self._end = end
+        self._keeps = keeps
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        if self.closed:
+            raise ValueError("I/O operation on closed file")
+        return self._fd
+
+    def isatty(self) -> bool:
+        """Return whether it is a serial port."""
+        return self._end.settings is not None
+
+    def readable(self) -> bool:
+        """Return whether it may be read."""
+        return "r" in self.mode or "+" in self.mode
+
+    def writable(self) -> bool:
+        """Return whether it may be written."""
+        return "r" not in self.mode or "+" in self.mode
+
+    def readinto(self, buffer: Any) -> int | None:
+        """Wait for characters; return how many there were, None if it does not wait."""
+        if not self.readable():
+            raise io.UnsupportedOperation("File not open for reading")
+        try:
+            data = _read_line(self._end, self.fileno(), len(buffer))
+        except BlockingIOError:
+            return None
+        buffer[: len(data)] = data
+        return len(data)
+
+    def write(self, data: Any) -> int:
+        """Write; return how many characters were written."""
+        if not self.writable():
+            raise io.UnsupportedOperation("File not open for writing")
+        return _write_line(self._end, self.fileno(), data)
+
+    def close(self) -> None:
+        """Close the descriptor."""
+        if not self.closed:
+            super().close()
+            if not self._keeps:
+                os.close(self._fd)
+
+
+@wraps(_open_file)
+def _opened_file(
+    file: Any,
+    mode: str = "r",
+    buffering: int = -1,
+    encoding: str | None = None,
+    errors: str | None = None,
+    newline: str | None = None,
+    closefd: bool = True,
+    opener: Any = None,
+) -> Any:
+    """Stand in for open, which opens serial ports and takes descriptors on lines."""
+    text = (encoding, errors, newline)
+    ports = _ports() if is_meant() and opener is None else None
+    bus = None if ports is None or isinstance(file, int) else ports.port(file)
+    end = ports.end_of(file) if ports is not None and isinstance(file, int) else None
+    if ports is None or (bus is None and end is None):
+        path = os.fspath(file) if ports is not None and not isinstance(file, int) else ""
+        if ports is not None and isinstance(path, str) and _HARDWARE.fullmatch(path):
+            _refuse_hardware("open", path, ports)
+        return _open_file(file, mode, buffering, *text, closefd, opener)
+    _open_file(os.devnull, mode, buffering, *text).close()  # raises for a wrong mode
+    fd = file if bus is None else ports.open(bus).detach()
+    found = ports.end_of(fd)
+    assert found is not None
+    return _layered(_LineFile(fd, found, mode, not closefd), buffering, text)
+
+
+def _layered(
+    raw: _LineFile, buffering: int, text: tuple[str | None, str | None, str | None]
+) -> Any:
+    """Return the file with the layers that `open` puts on it."""
+    if buffering == 0:
+        return raw
+    by_line = buffering == 1 or (buffering < 0 and raw.isatty())
+    size = io.DEFAULT_BUFFER_SIZE if buffering in (-1, 1) else buffering
+    kind: Callable[..., Any] = io.BufferedReader if "r" in raw.mode else io.BufferedWriter
+    try:
+        layer = (io.BufferedRandom if "+" in raw.mode else kind)(raw, size)
+    except OSError:  # a port is not seekable
+        raw.close()
+        raise
+    return layer if "b" in raw.mode else io.TextIOWrapper(layer, *text, line_buffering=by_line)
+
+
 @wraps(_read)
 def _reading(fd: int, length: int, /) -> bytes:
     """Stand in for os.read, which waits for a line unless the descriptor is non-blocking."""
     end = _end_of(fd) if is_meant() else None
-    if end is not None and os.get_blocking(fd):
-        end.runtime.wait_until(lambda: bool(_select((fd,), (), (), 0)[0]))
+    return _read(fd, length) if end is None else _read_line(end, fd, length)
+
+
+def _read_line(end: _End, fd: int, length: int) -> bytes:
+    """Read as from a terminal or a connection, and wait in the rig's time."""
+    if os.get_blocking(fd):
+        is_there = end.runtime.wait_until(
+            lambda: bool(_select((fd,), (), (), 0)[0]), end.read_limit_s()
+        )
+        if not is_there:
+            return b""
     return _read(fd, length)
 
 
@@ -561,8 +692,11 @@ def _reading(fd: int, length: int, /) -> bytes:
 def _writing(fd: int, data: Any, /) -> int:
     """Stand in for os.write."""
     end = _end_of(fd) if is_meant() else None
-    if end is None:
-        return _write(fd, data)
+    return _write(fd, data) if end is None else _write_line(end, fd, data)
+
+
+def _write_line(end: _End, fd: int, data: Any) -> int:
+    """Write to a line, after the characters of others."""
     end.await_silence()
     written = _write(fd, data)
     end.drain()

@@ -1,7 +1,6 @@
 """Operations of a program that virtual time refuses: they block, or copy the rig."""
 
 import os
-import select
 import signal
 from collections.abc import Callable
 from functools import wraps
@@ -18,12 +17,9 @@ _SYSTEM: Final = "it blocks in the operating system, and with it all threads of 
 _ALARM: Final = "it uses the wall clock, not the rig's clock"
 THREADS: Final = "use threads (concurrent.futures.ThreadPoolExecutor)"
 _TIMER: Final = "use threading.Timer"
-_SELECTOR: Final = "use selectors.DefaultSelector"
 _FUNCTIONS: Final = (
     (os.fork, "os.fork", COPY, THREADS),
     (os.forkpty, "os.forkpty", COPY, THREADS),
-    (select.poll, "select.poll", _SYSTEM, _SELECTOR),
-    (select.epoll, "select.epoll", _SYSTEM, _SELECTOR),
     (signal.alarm, "signal.alarm", _ALARM, _TIMER),
     (signal.setitimer, "signal.setitimer", _ALARM, _TIMER),
     (signal.pause, "signal.pause", _SYSTEM, "sleep until a flag is set"),

@@ -3,7 +3,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <linux/can.h>
-#include <linux/can/bcm.h>
 #include <poll.h>
 #include <pthread.h>
 #include <sched.h>
@@ -12,8 +11,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/msg.h>
 #include <sys/socket.h>
 #include <sys/syscall.h>
+#include <sys/time.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
@@ -65,6 +66,15 @@ static void *signal_main(void *thread)
     return NULL;
 }
 
+/* By a call that the library does not see, as a signal of another process. */
+static void *signal_from_outside(void *unused)
+{
+    sleep(1);
+    syscall(SYS_tgkill, getpid(), getpid(), SIGUSR1);
+    sleep(1);
+    return unused;
+}
+
 static void wait_in_handler(int signal)
 {
     (void)signal;
@@ -90,6 +100,14 @@ static void *write_late(void *unused)
     return unused;
 }
 
+static void *read_late(void *unused)
+{
+    static char data[50000];
+    sleep(1);
+    while (count < 400000) count += read(ends[0], data, sizeof data);
+    return unused;
+}
+
 static void start(void *(*function)(void *), void *argument)
 {
     pthread_t thread;
@@ -107,7 +125,9 @@ int main(int words, char **argument)
 {
     const char *act = words > 1 ? argument[1] : "";
     pthread_t threads[200], self = pthread_self();
+    pthread_barrierattr_t attributes;
     pthread_barrier_t barrier;
+    timer_t timer;
     if (!strcmp(act, "spin-clock")) {
         while (now_s() < 20) continue;
     } else if (!strcmp(act, "spin-yield")) {
@@ -155,14 +175,14 @@ int main(int words, char **argument)
         sleep(1);
     } else if (!strcmp(act, "handler")) {
         signal(SIGUSR1, wait_in_handler);
-        start(signal_main, &self);
+        start(signal_from_outside, NULL);
         sleep(100);
     } else if (!strcmp(act, "handler-sends")) {
         struct sockaddr_can all = {.can_family = AF_CAN};
         ends[0] = socket(PF_CAN, SOCK_RAW, CAN_RAW);
         if (bind(ends[0], (struct sockaddr *)&all, sizeof all)) return 9;
         signal(SIGUSR1, send_in_handler);
-        start(signal_main, &self);
+        start(signal_from_outside, NULL);
         sleep(100);
     } else if (!strcmp(act, "fork")) {
         sleep(1);
@@ -194,6 +214,12 @@ int main(int words, char **argument)
         if (pipe2(ends, O_NONBLOCK)) return 9;
         start(write_late, NULL);
         while (read(ends[0], threads, 1) != 1) continue;
+    } else if (!strcmp(act, "full-pipe") || !strcmp(act, "full-socket")) {
+        static char data[400000];
+        int is_pipe = !strcmp(act, "full-pipe");
+        if (is_pipe ? pipe(ends) : socketpair(AF_UNIX, SOCK_STREAM, 0, ends)) return 9;
+        start(read_late, NULL);
+        printf("written: %zd\n", write(ends[1], data, sizeof data));
     } else if (!strcmp(act, "signals")) {
         signal(SIGUSR1, note_signal);
         start(signal_main, &self);
@@ -218,14 +244,19 @@ int main(int words, char **argument)
         start(lock_two_one, NULL);
         sleep(1);
         pthread_mutex_lock(&two);
-    } else if (!strcmp(act, "alarm")) {
-        alarm(1);
-    } else if (!strcmp(act, "barrier")) {
-        pthread_barrier_init(&barrier, NULL, 2);
-        pthread_barrier_wait(&barrier);
-    } else if (!strcmp(act, "bcm")) {
+    } else if (!strcmp(act, "msgsnd")) {
+        msgsnd(0, ends, sizeof ends, 0);
+    } else if (!strcmp(act, "cpu-timer")) {
+        timer_create(CLOCK_PROCESS_CPUTIME_ID, NULL, &timer);
+    } else if (!strcmp(act, "cpu-itimer")) {
+        setitimer(ITIMER_PROF, NULL, NULL);
+    } else if (!strcmp(act, "shared-barrier")) {
+        pthread_barrierattr_init(&attributes);
+        pthread_barrierattr_setpshared(&attributes, PTHREAD_PROCESS_SHARED);
+        pthread_barrier_init(&barrier, &attributes, 2);
+    } else if (!strcmp(act, "isotp")) {
         sleep(1);
-        if (socket(PF_CAN, SOCK_DGRAM, CAN_BCM) < 0) perror("socket");
+        if (socket(PF_CAN, SOCK_DGRAM, CAN_ISOTP) < 0) perror("socket");
     } else {
         return 8;
     }

@@ -135,6 +135,25 @@ static int connect_elsewhere(void)
     return connect(client, (struct sockaddr *)&address, size) ? 1 : 0;
 }
 
+/* Write the jog speed, close at once, and read it by another connection whose writing has ended. */
+static int write_and_close(char **where)
+{
+    static const unsigned char set[] = {0, 7, 0, 0, 0, 6, 1, 6, 1, 0xE1, 0, 0x7B},
+                               get[] = {0, 8, 0, 0, 0, 6, 1, 3, 1, 0xE1, 0, 1};
+    unsigned char answer[64];
+    int fd = connected(where[0], where[1], "");
+    if (write(fd, set, sizeof set) != sizeof set || close(fd)) return 1;
+    usleep(10000);
+    fd = connected(where[0], where[1], "");
+    if (write(fd, get, sizeof get) != sizeof get || shutdown(fd, SHUT_WR)) return 1;
+    ssize_t size = read(fd, answer, sizeof answer);
+    printf("%zd bytes, speed %d", size, answer[9] << 8 | answer[10]);
+    signal(SIGPIPE, SIG_IGN);
+    size = write(fd, get, sizeof get);
+    printf(", write: %zd, %s\n", size, strerror(errno));
+    return 0;
+}
+
 int main(int argc, char **argv)
 {
     unsigned char answer[64];
@@ -143,6 +162,7 @@ int main(int argc, char **argv)
     int is_tcp = !strcmp(argv[2], "tcp"), size = 0, wanted = is_tcp ? 11 : 7;
     sleep(1);
     if (!strcmp(act, "elsewhere")) return connect_elsewhere();
+    if (!strcmp(act, "close")) return write_and_close(argv + 3);
     int fd = is_tcp ? connected(argv[3], argv[4], act) : opened(argv[3], act);
     for (int i = 0; i < 300 && !strcmp(act, "reopen"); i++) { /* more than a program may have */
         int copy = dup(fd);

@@ -230,6 +230,40 @@ def test_two_connections_get_their_own_responses():
     assert [data for _, data, _ in second] == [adu(1, 1, bytes.fromhex("03020065"))]
 
 
+@pytest.mark.parametrize("pieces", [1, 2, 12])
+def test_request_before_a_close_arrives_as_in_tcp(pieces):
+    """RFC 9293, 3.6: all data before a CLOSE are delivered; nobody is there for the answer."""
+    world, _ = a_world(tcp=True)
+    heard: Heard = []
+    host = world.add_line_host("line", "host", listener(heard))
+    request = adu(7, 1, bytes.fromhex("06 0003 04D2"))
+    size = len(request) // pieces
+    for number in range(pieces):
+        world.queue.run_until(number * 1_000)
+        host.send(request[number * size : (number + 1) * size])
+    host.close()
+    host.send(request[:4])
+    other = world.add_line_host("line", "other", listener(heard))
+    world.queue.run_until(100 * MS)
+    assert heard == []
+    assert [one.name for one in world.line("line").endpoints] == ["unit1", "unit2", "other"]
+    other.send(adu(8, 1, bytes.fromhex("03 0003 0001")))
+    world.queue.run_until(1_000 * MS)
+    assert [data for _, data, _ in heard] == [adu(8, 1, bytes.fromhex("03 02 04D2"))]
+
+
+def test_foreign_bytes_before_a_close_end_the_connection_once():
+    world, _ = a_world(tcp=True)
+    notes = []
+    world.tap_events(lambda *note: notes.append(note))
+    host = world.add_line_host("line", "host", listener([]))
+    host.send(b"GET / HTTP/1.1\r\n\r\n")
+    host.close()
+    world.queue.run_until(100 * MS)
+    assert notes == []
+    assert [one.name for one in world.line("line").endpoints] == ["unit1", "unit2"]
+
+
 def objects() -> int:
     """Return the number of objects, without garbage."""
     gc.collect()

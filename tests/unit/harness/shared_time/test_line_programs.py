@@ -196,6 +196,14 @@ def test_hostile_c_client_is_told_by_name(run, tmp_path, act, line, where, end, 
 
 
 @needs_compiler
+def test_request_of_a_c_client_before_its_close_is_carried_out(run, tmp_path):
+    program = compiled("line_client", tmp_path)
+    lines, wrong, _ = run("tcp", a=[program, "close", *WHERE["tcp"]])
+    assert wrong == {}, lines
+    assert lines == ["a: 11 bytes, speed 123, write: -1, Broken pipe"]
+
+
+@needs_compiler
 def test_characters_in_the_turn_of_a_new_thread_arrive(run, tmp_path, monkeypatch):
     sent = sent_bytes(monkeypatch)
     lines, wrong, _ = run("rtu", a=[compiled("line_client", tmp_path), "thread", *WHERE["rtu"]])

@@ -38,7 +38,30 @@ def by_selector(end, timeout):
         return bool(selector.select(timeout))
 
 
-@pytest.mark.parametrize("is_ready_within", [by_select, by_selector])
+def by_poll(end, timeout):
+    poll = select.poll()
+    poll.register(end, select.POLLOUT)
+    poll.modify(end, select.POLLIN)
+    poll.register(0)
+    poll.unregister(0)
+    return poll.poll(None if timeout is None else 1_000 * timeout) == [(end, select.POLLIN)]
+
+
+def by_epoll(end, timeout):
+    with select.epoll() as epoll:
+        epoll.register(end, select.EPOLLIN | select.EPOLLET)
+        found = epoll.poll(-1 if timeout is None else timeout)
+        assert epoll.poll(0) == []  # an edge is told once
+        with select.epoll.fromfd(os.dup(epoll.fileno())) as other:
+            other.modify(end, select.EPOLLIN)
+            assert other.poll(0) == found
+            other.unregister(end)
+            assert other.poll(0) == []
+    assert epoll.closed
+    return found == [(end, select.EPOLLIN)]
+
+
+@pytest.mark.parametrize("is_ready_within", [by_select, by_selector, by_poll, by_epoll])
 def test_pipe_is_awaited_in_the_rigs_time(now_s, pipe, is_ready_within):
     later(0.5, lambda: os.write(pipe[1], b"7"))
     assert not is_ready_within(pipe[0], 0.2)

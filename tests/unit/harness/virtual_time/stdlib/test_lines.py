@@ -2,6 +2,7 @@
 
 import asyncio
 import fcntl
+import io
 import os
 import select
 import selectors
@@ -199,6 +200,31 @@ def test_connection_ends_when_its_last_descriptor_is_closed(gateway):
     assert endpoints(gateway) == ["mast"]
 
 
+def test_answer_arrives_after_the_end_of_writing(gateway):
+    with connection(1.0) as own:
+        own.sendall(REQUEST)
+        own.shutdown(socket.SHUT_WR)
+        assert own.recv(64) == ANSWER
+        with pytest.raises(BrokenPipeError):
+            own.send(REQUEST)
+        assert endpoints(gateway) == ["mast", "host"]
+    time.sleep(0.01)
+    assert endpoints(gateway) == ["mast"]
+
+
+@pytest.mark.parametrize("way", ["close", "shutdown"])
+def test_request_before_a_close_is_carried_out(gateway, way):
+    """Write the jog speed, register 01E1h (Leadshine manual), and read it by a new connection."""
+    with connection() as own:
+        own.sendall(bytes.fromhex("0007 0000 0006 01 06 01E1 007B"))
+        if way == "shutdown":
+            own.shutdown(socket.SHUT_RDWR)
+    with connection(1.0) as own:
+        time.sleep(0.01)
+        own.sendall(bytes.fromhex("0008 0000 0006 01 03 01E1 0001"))
+        assert own.recv(64) == bytes.fromhex("0008 0000 0005 01 03 02 007B")
+
+
 def test_thread_that_ends_sends_what_it_has_written(gateway):
     with connection() as own:
         thread = threading.Thread(target=os.writev, args=(own.fileno(), [REQUEST]))
@@ -382,9 +408,72 @@ def test_port_of_hardware_is_refused_by_name(wires):
         serial.Serial("/dev/ttyUSB7")
 
 
+@pytest.mark.parametrize("mode", ["r+b", "rb+"])
+def test_open_gives_an_unbuffered_file_on_the_port(wires, mode):
+    with open("/dev/line", mode, buffering=0) as file:
+        tty.setraw(file)
+        assert file.isatty()
+        start_s = time.monotonic()
+        assert file.write(RTU_REQUEST) == len(RTU_REQUEST)
+        assert b"".join(iter(lambda: file.read(1), b"\x50")) == RTU_ANSWER[:-1]
+        least_s = (len(RTU_REQUEST) + len(RTU_ANSWER)) * CHARACTER_NS / 1e9
+        assert least_s < time.monotonic() - start_s < 0.1
+    with pytest.raises(ValueError, match="closed file"):
+        file.fileno()
+
+
+def test_open_layers_its_files_as_python_does(wires):
+    with open("/dev/line", "wb") as out, Path("/dev/line").open("rb", buffering=7) as answers:
+        tty.setraw(out)
+        tty.setraw(answers)
+        out.write(RTU_REQUEST)
+        out.flush()
+        assert answers.read(8 + 7) == RTU_REQUEST + RTU_ANSWER  # each hears what others send
+        with pytest.raises(io.UnsupportedOperation, match="reading"):
+            out.raw.read(1)
+    with open("/dev/line", "w", encoding="ascii") as text_file:
+        assert text_file.line_buffering
+    wrong = pytest.raises(ValueError, match="binary mode doesn't take an encoding")
+    with wrong, open("/dev/line", "rb", encoding="ascii"):
+        pass
+    with pytest.raises(io.UnsupportedOperation, match="not seekable"), open("/dev/line", "r+b"):
+        pass
+    assert len(endpoints(wires)) == 3
+
+
+def test_descriptor_of_port_becomes_a_file(wires):
+    with port(0) as fd, open(fd, "r+b", buffering=0, closefd=False) as file:
+        file.write(RTU_REQUEST)
+        assert file.read(1) == RTU_ANSWER[:1]
+        assert select.select([file], [], [], 1.0)[0] == [file]
+        file.close()
+        assert os.isatty(fd)
+
+
+def test_read_of_port_ends_after_vtime(wires):
+    with port(0) as fd:
+        tty.setraw(fd)
+        settings = termios.tcgetattr(fd)
+        settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 3
+        termios.tcsetattr(fd, termios.TCSANOW, settings)
+        start_s = since_s(wires)
+        assert os.read(fd, 1) == b""
+        assert since_s(wires) - start_s == pytest.approx(0.3, abs=1e-5)
+
+
+def test_open_of_hardware_is_refused_by_name(wires):
+    for path in ("/dev/ttyUSB7", Path("/dev/ttyACM0")):
+        told = rf"open .* {path}: hardware .* line at /dev/line\)"
+        with pytest.raises(UsageError, match=told), open(path, "r+b", buffering=0):
+            pass
+
+
 def test_other_files_are_opened_as_ever(wires, tmp_path):
     fd = os.open(tmp_path / "file", os.O_CREAT | os.O_RDWR, 0o600)
     assert os.write(fd, b"7") == 1
     assert not os.isatty(fd)
     os.close(fd)
     assert (tmp_path / "file").read_bytes() == b"7"
+    with open(tmp_path / "file", "a") as file, open(os.dup(file.fileno()), "w") as copy:
+        assert (file.write("8"), copy.write("9")) == (1, 1)
+    assert (tmp_path / "file").read_text() in ("789", "798")

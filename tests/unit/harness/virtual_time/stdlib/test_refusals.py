@@ -35,6 +35,18 @@ def by_selector(server):
         selector.select(0.01)
 
 
+def by_poll(server):
+    poll = select.poll()
+    poll.register(server)
+    poll.poll(10)
+
+
+def by_epoll(server):
+    with select.epoll() as epoll:
+        epoll.register(server.fileno(), select.EPOLLIN)
+        epoll.poll(0.01)
+
+
 REFUSED = {
     "os.fork": lambda: os.fork(),
     "os.forkpty": lambda: os.forkpty(),
@@ -42,13 +54,14 @@ REFUSED = {
     "multiprocessing.Queue": lambda: multiprocessing.Queue(),
     "multiprocessing.SimpleQueue": lambda: multiprocessing.SimpleQueue(),
     "select.select": lambda: wait_for_network(lambda one: select.select([one], [], [], 0.01)),
-    "select.poll": lambda: select.poll(),
-    "select.epoll": lambda: select.epoll(),
+    "select.poll": lambda: wait_for_network(by_poll),
+    "select.epoll": lambda: wait_for_network(by_epoll),
     "selectors.EpollSelector.select": lambda: wait_for_network(by_selector),
     "signal.alarm": lambda: signal.alarm(100),
     "signal.setitimer": lambda: signal.setitimer(signal.ITIMER_REAL, 100.0),
     "signal.sigtimedwait": lambda: signal.sigtimedwait([signal.SIGUSR1], 0.01),
     "socket.recv": receive,
+    "socket.socket(AF_CAN)": lambda: socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW),
 }
 
 
