@@ -37,6 +37,7 @@ class Ability(Enum):
     SECOND_MOTOR = "move a second motor"
     SEVERAL_USERS = "create several logical motors for one physical motor"
     SOLE_USER = "have a motor without any other user"
+    SECOND_PROGRAM = "run a second program on the motor's bus"
 
 
 class RigProtocol(Protocol):
@@ -72,6 +73,13 @@ class RigProtocol(Protocol):
 
     def another_user_of(self, motor: "Motor") -> "Motor":
         """Return another logical motor on the same physical motor (Ability.SEVERAL_USERS)."""
+
+    def apart(self) -> None:
+        """Switch everything off and on again; other users are of another program from now on.
+
+        The two programs share the bus, and know of each other only by locks
+        (Ability.SECOND_PROGRAM).
+        """
 
     def true_position(self, motor: "Motor") -> float:
         """Return the motor's true position [U], not from the adaptation (Ability.TRUTH)."""
