@@ -43,6 +43,7 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *("LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
     }
 )
+_OF_PROGRAMS = tuple(f"PROC-{number:02}" for number in range(8, 14))  # on a bus
 _OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
@@ -55,6 +56,7 @@ NOT_APPLICABLE = {
             *(f"LOST-{number:02}" for number in range(1, 14)),
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
+            *("SYNC-20", *_OF_PROGRAMS),
         }
     ),
     "dryve": _POLLED | {"MEAS-03"},

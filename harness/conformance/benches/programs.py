@@ -116,6 +116,12 @@ class Programs:
         """Return the name of the port by which the program of this motor sends."""
         return _PORTS[self._is_second(motor)]
 
+    def bus(self, name: str) -> EmulatedBus:
+        """Return the first program's connection to a CAN bus."""
+        link = self._link(False, name)
+        assert isinstance(link, EmulatedBus)  # a line has no frames
+        return link
+
     def _motor(self, name: str) -> "Motor":
         second = self._is_second(name)
         described = self._rig.description.motors[name].controller

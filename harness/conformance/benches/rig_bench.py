@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Final, Self, final
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack, pack_fd
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorhil.harness.conformance.bench import Ability, Lost
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+from motorhil.harness.conformance.bench import Ability, Announced, Lost
 from motorhil.harness.conformance.benches.programs import Programs
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.plugins import DECODERS, installed
+from motorhil.harness.python_can.bus import EmulatedBus
 from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
@@ -23,6 +25,7 @@ from motorhil.harness.rig.config.units import units_per_plant_rad
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.motorapi import Motor, MotorError, UsageError
+from motorhil.motorapi.ownership.claim import LockAction
 
 if TYPE_CHECKING:  # a first verdict needs no decoder
     from motorhil.harness.conformance.verdicts.observation import Observation
@@ -247,6 +250,8 @@ class RigBench:
     def abilities(self) -> Sequence[Ability]:
         """The abilities of an emulated rig for these motors."""
         able = {Ability.AFRESH, Ability.SEVERAL_USERS}
+        if self._programs is None:
+            able.add(Ability.ONE_PROGRAM)
         if not self._readers:
             able.add(Ability.SOLE_USER)
         if len(self.facts.motors) > 1:
@@ -266,7 +271,7 @@ class RigBench:
             if self._is_plain(motor) and kind not in installed(DECODERS):
                 able.remove(Ability.TRAFFIC)
             if not self._is_on_a_line(motor):
-                able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
+                able |= {Ability.BUS_ERRORS, Ability.ONE_KIND, Ability.OWNERS}
             if kind in _CANOPEN:
                 able |= {Ability.STOP_SYNC, Ability.CLOCK}
             if kind in _CANOPEN or kind in _SWITCHED:
@@ -399,7 +404,7 @@ class RigBench:
             if (
                 motor is None and not skip
             ):  # the host may have nothing to send now; no node receives this
-                self.rig.bus(self._bus(struck)).transmit(pack(_UNUSED_ID))
+                self._first_link(self._bus(struck)).transmit(pack(_UNUSED_ID))
             yield lost
 
     @contextmanager
@@ -533,7 +538,33 @@ class RigBench:
         finally:
             listening.clear()
 
+    @contextmanager
+    def owners_of(self, motor: Motor) -> Iterator[list[Announced]]:
+        """Record what programs announce of the ownership of a motor, in the block."""
+        told: list[Announced] = []
+        described = self._description.motors[physical_name(motor)]
+        node = self._description.controllers[self._controller(motor)].node_id or 0
+        channel = described.settings.get("channel", 0)
+        bus, resource = self._bus(motor), node | (channel if isinstance(channel, int) else 0) << 8
+        listening = [True]
+
+        def on_notice(where: str, _time_ns: int, sender: str, notice: OwnershipNotice) -> None:
+            if listening and where == bus and notice.resource == resource:
+                action = LockAction(notice.action)
+                words = notice.owner, notice.purpose, sender
+                told.append(Announced(action, notice.token, *words))
+
+        self.rig.world.tap_ownership(on_notice)
+        try:
+            yield told
+        finally:
+            listening.clear()
+
     # --- helpers --------------------------------------------------------------------------
+
+    def _first_link(self, bus: str) -> EmulatedBus:
+        """Return the connection by which the motors under test send on a CAN bus."""
+        return self.rig.bus(bus) if self._programs is None else self._programs.bus(bus)
 
     def _controller(self, motor: Motor) -> str:
         controller = self._description.motors[physical_name(motor)].controller

@@ -93,8 +93,6 @@ _MESSAGES: Final = "".join(
     f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
     for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))  # above the drives, and below
 )
-_BUS: Final = '\nbus = "'
-"""Text of every rig whose motors are on a bus, which programs can share."""
 _BUSY: list[Change] = [  # half of the bus; too much for a slow one, so its rate is spelt otherwise
     (_RATE_AND_LEFT, f"bitrate_bit_s = 1000000\n\n{_MESSAGES}[controller.left]")
 ]
@@ -156,7 +154,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     ],
     "busy bus": _BUSY,
     READ: [],
-    APART: [(_BUS, _BUS)],
+    APART: [],
     "slow SDO server": of_drive("timing = { sdo_reply_s = 0.005 }"),
     "friction": [
         *of_plant("coulomb_friction_n_m = 0.008"),
@@ -180,7 +178,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
 }
 
 _GENERAL: Final = (
-    *("reversing gear", "starts at 5 rad", "fast clock", "slow clock", APART),
+    *("reversing gear", "starts at 5 rad", "fast clock", "slow clock"),
     *_OF_OTHER_MOTORS,
     *OPTIONS,
 )

@@ -7,11 +7,12 @@ locks and by the bus only, as two processes do: `RigProtocol.apart`.
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from itertools import pairwise
 from math import copysign
 from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, Violated, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
@@ -24,6 +25,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     midway_s,
     move,
     position_of,
+    reached,
     rest_for,
     shortest_s,
     smooth_move,
@@ -38,6 +40,7 @@ from motorhil.motorapi import (
     TrapezoidalTrajectory,
     UnsupportedError,
 )
+from motorhil.motorapi.ownership.claim import LockAction
 
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _TWO = {Ability.SECOND_PROGRAM, Ability.TRUTH}
@@ -47,6 +50,7 @@ _LEASE_S: Final = 0.2
 _SLOW: Final = 2.0
 _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
+_TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
 def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
@@ -216,3 +220,154 @@ def unused_lease_passes_to_other_program(bench: RigProtocol) -> None:
             expect_unmoved(bench, motor, before, "commanded after its lease was over")
     _leave(bench, other)
     move(bench, motor, -0.5 * way)
+
+
+@clause(
+    "PROC-11",
+    Level.L3,
+    needs=_MOVES,
+    bench=_TWO,
+    source="motorapi.motor: read access needs no ownership; Sharing and locking",
+)
+def reader_waits_until_drive_is_set_up(bench: RigProtocol) -> None:
+    """A program may read a motor that another program has, also before its drive was set up."""
+    motor, other = _both(bench)
+    way = 0.5 * long_move(bench)
+    read: list[float] = []
+    with motor.reserve("survey"):
+        party = bench.runtime.spawn("reader", lambda: read.append(other.position()))
+        rest_for(bench, _LINGER_S)
+        before = position_of(bench, motor)
+        move(bench, motor, way)
+        expect(party.join(_PATIENCE_S), f"position() of {other.name} does not return")
+        if party.error is not None:
+            raise Violated(f"position() of {other.name} in another program: {party.error!r}")
+        spare = bench.facts.window + 0.1 * motor.model.velocity_max
+        low, high = sorted((before, before + way))
+        expect(low - spare <= read[0] <= high + spare, f"{other.name} read {read[0]:g}")
+        expect_moved(bench, motor, before, way, "read by another program")
+        apart = abs(other.position() - motor.position())
+        expect(apart <= bench.facts.window, f"two programs read positions {apart:g} apart")
+    _leave(bench, motor)
+    before = position_of(bench, other)
+    move(bench, other, way)
+    expect_moved(bench, other, before, way, "once it was free")
+
+
+@clause(
+    "PROC-12",
+    Level.L3,
+    needs={*_MOVES, Capability.LOW_LEVEL},
+    bench=_TWO,
+    source=f"{_SOURCE}; Motor.low_level: afterwards nothing is assumed",
+)
+def waiting_program_gets_motor_in_turn(bench: RigProtocol) -> None:
+    """Programs wait for a motor in the order of their requests, and no longer than they asked."""
+    motor, other = _both(bench)
+    way = 0.2 * long_move(bench)
+    before = position_of(bench, motor)
+    move(bench, motor, way)
+    motor.disable()
+    _prepare(other, way)
+    with motor.low_level():
+        for wait_s in (None, _LEASE_S):
+            begun_ns = bench.runtime.now_ns()
+            what = f"start(timeout_s={wait_s}) of {other.name} in another program"
+            error = _refusal_of(partial(other.start, wait_s), what)
+            late_s = elapsed_s(bench, begun_ns) - (wait_s or 0.0)
+            most_s = bench.facts.time_tolerance_s
+            expect(0.0 <= late_s <= most_s, f"{what} was refused {late_s:g} s late")
+            expect("low-level" in str(error), f"{what}: {error}; expected the purpose")
+        served: list[str] = []
+
+        def start_next() -> None:
+            other.start(timeout_s=_PATIENCE_S)
+            served.append(other.name)
+            other.wait_until_done(_PATIENCE_S)
+
+        party = bench.runtime.spawn("next", start_next)
+        rest_for(bench, _LINGER_S)
+        expect(not served, f"{other.name} got the motor in low-level access of another program")
+    with motor.reserve("after it", timeout_s=_PATIENCE_S):
+        expect(served == [other.name], "the motor was not given to the program that asked first")
+    expect(party.join(_PATIENCE_S) and party.error is None, f"{other.name}: {party.error!r}")
+    expect_moved(bench, motor, before, 2.0 * way, f"moved by {motor.name}, then {other.name}")
+
+
+@clause(
+    "PROC-13",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_TWO, Ability.OWNERS},
+    source="motorapi.hooks: on CAN, announce informs a hub; recordings have the history of owners",
+)
+def owners_are_announced_on_the_bus(bench: RigProtocol) -> None:
+    """On the bus, each program tells when it takes, loses or releases a motor, by its token."""
+    motor, other = _both(bench)
+    way = 0.2 * long_move(bench)
+    with bench.owners_of(motor) as told:
+        move(bench, motor, way)
+        with motor.reserve("tea"), other.reserve("fire", take_over=True):
+            _refusal_of(motor.enable, f"enable() of {motor.name}, which was taken over")
+        _leave(bench, other)
+    owned, last = 0, 0
+    for one in told:
+        what = f"announced was {one} after token {last}; all: {told}"
+        if one.action in _TAKES:
+            expect(one.token > last, what)
+            expect(not owned or one.action is LockAction.TAKEN_OVER, what)
+            owned = last = one.token
+        elif one.action is LockAction.RELEASED:
+            expect(one.token == owned, what)
+            owned = 0
+        elif one.action is LockAction.LOST:
+            expect(one.token < last and motor.name in one.owner, what)
+    expect(not owned, f"a motor that was released is announced as taken: {told}")
+    actions = {one.action: one for one in told}
+    for action, user in (
+        *((LockAction.TAKEN, other), (LockAction.TAKEN_OVER, other), (LockAction.LOST, motor)),
+        *((LockAction.REFUSED, motor), (LockAction.RELEASED, other)),
+    ):
+        found = actions.get(action)
+        is_told = found is not None and user.name in found.owner
+        expect(is_told, f"{action.name} of {user.name}: announced was {found}; all: {told}")
+    over = actions[LockAction.TAKEN_OVER]
+    expect(over.purpose == "fire" and over.sender != told[0].sender, f"the takeover: {over}")
+
+
+@clause(
+    "SYNC-20",
+    Level.L4,
+    needs={*_MOVES, Capability.COMPLEX_POSITION},
+    bench={*_TWO, Ability.CLOCK, Ability.SECOND_MOTOR},
+    source="Sharing and locking: one program produces a cyclic SYNC, others follow it; CiA 301",
+)
+def programs_share_one_clock(bench: RigProtocol) -> None:
+    """If two programs stream, one signal clocks both; it goes on when its producer has ended."""
+    bench.apart()
+    first, second = bench.motors[0], bench.another_user_of(bench.motors[1])
+    way = long_move(bench)
+    try:
+        for motor in (first, second):
+            motor.enable()
+    except MotorBusyError as error:  # as with motors that share a node
+        raise NotApplicable(f"two programs cannot have them at once: {error}") from None
+    for early, late in ((first, second), (second, first)):
+        before = [position_of(bench, motor) for motor in (early, late)]
+        with bench.clock() as times_ns:
+            follow(early, smooth_move(early, way))
+            rest_for(bench, 0.3 * shortest_s(early, way))
+            follow(late, smooth_move(late, way))
+            for motor in (early, late):
+                finish(bench, motor, shortest_s(motor, way))
+        steps_s = sorted((after - was) / 1e9 for was, after in pairwise(times_ns))
+        reached(len(steps_s) > 2, "a clock signal")
+        usual_s = steps_s[len(steps_s) // 2]
+        expect(
+            0.5 * usual_s <= steps_s[0] and steps_s[-1] <= 2.0 * usual_s,
+            f"clock signals of two programs are {steps_s[0]:g} to {steps_s[-1]:g} s apart;"
+            f" expected {usual_s:g} s",
+        )
+        for motor, was in zip((early, late), before, strict=True):
+            expect_moved(bench, motor, was, way, "streamed beside another program")
+        way = -way

@@ -49,6 +49,7 @@ from motorhil.motorapi import (
 
 _WATCHED_S = 0.2
 _SHARED = {Ability.SEVERAL_USERS}
+_TOGETHER = {*_SHARED, Ability.ONE_PROGRAM}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
 _LEASE_S = 0.2
@@ -66,7 +67,7 @@ def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
     "SHARE-01",
     Level.L3,
     needs=_MOVES,
-    bench={*_SHARED, Ability.TRUTH},
+    bench={*_TOGETHER, Ability.TRUTH},
     source="requirement 4 of the paper: inform the users; MotorBusyError",
 )
 def moving_motor_refuses_other_user(bench: RigProtocol) -> None:
@@ -139,7 +140,7 @@ def refused_user_sends_no_command(bench: RigProtocol) -> None:
     "SHARE-03",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="Sharing and locking: reading and stops are free; MotionInterrupted",
 )
 def any_user_may_read_and_stop(bench: RigProtocol) -> None:
@@ -297,7 +298,7 @@ def users_are_served_in_order(bench: RigProtocol) -> None:
     "SHARE-08",
     Level.L3,
     needs={*_MOVES, Capability.VELOCITY_SET_POINT},
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="Sharing and locking: leases, take_over; the next owner brings a moving motor to rest",
 )
 def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
@@ -341,7 +342,7 @@ def _reserve(motor: Motor) -> None:
     "SHARE-09",
     Level.L3,
     needs={*_MOVES, Capability.LOW_LEVEL},
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="requirement 2 of the paper: no other part of the interface will have any effect",
 )
 def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
@@ -385,7 +386,7 @@ def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     "SHARE-10",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="paper 3.5: one hardware object, shared by all; Device.close",
 )
 def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
@@ -570,7 +571,7 @@ def readers_at_once_get_own_answers(bench: RigProtocol) -> None:
     "SHARE-15",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="motorapi.ownership: one operation at a time, in the order of requests; Motor.enable",
 )
 def operations_at_once_take_turns(bench: RigProtocol) -> None:
@@ -597,7 +598,7 @@ def operations_at_once_take_turns(bench: RigProtocol) -> None:
     "SHARE-11",
     Level.L3,
     needs={Capability.POSITION_TRAJECTORY},
-    bench={Ability.SEVERAL_USERS, Ability.AFRESH},
+    bench={*_TOGETHER, Ability.AFRESH},
     source="harness.sharing_tests: the history of every motor is that of one owner at a time",
 )
 def motor_has_one_owner_at_a_time(bench: RigProtocol) -> None:
@@ -647,7 +648,7 @@ def _rig_of(bench: RigProtocol) -> Any:
     "SHARE-14",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="Motor.reserve, Motor.start: MotorBusyError names the holder; UsageError",
 )
 def refusal_names_who_is_next(bench: RigProtocol) -> None:
