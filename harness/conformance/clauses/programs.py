@@ -7,7 +7,7 @@ locks and by the bus only, as two processes do: `RigProtocol.apart`.
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import copysign
 from typing import Final
 
@@ -20,6 +20,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_unmoved,
     failure_of,
     finish,
+    finish_group,
     follow,
     long_move,
     midway_s,
@@ -37,6 +38,7 @@ from motorhil.motorapi import (
     MotionInterrupted,
     Motor,
     MotorBusyError,
+    MotorGroup,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
@@ -50,6 +52,7 @@ _LEASE_S: Final = 0.2
 _SLOW: Final = 2.0
 _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
+_ROUNDS: Final = 2
 _TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
@@ -371,3 +374,43 @@ def programs_share_one_clock(bench: RigProtocol) -> None:
         for motor, was in zip((early, late), before, strict=True):
             expect_moved(bench, motor, was, way, "streamed beside another program")
         way = -way
+
+
+@clause(
+    "SYNC-21",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SECOND_MOTOR},
+    source="MotorGroup.reserve: acquired in the same order in all programs; no deadlock",
+)
+def groups_of_programs_take_turns(bench: RigProtocol) -> None:
+    """Groups of two programs on the same motors start in turn, whatever their own order is."""
+    bench.apart()
+    mine = MotorGroup(*bench.motors[:2])
+    others = [bench.another_user_of(motor) for motor in bench.motors[:2]]
+    theirs = MotorGroup(*reversed(others))
+    way = 0.1 * long_move(bench)
+    before = [position_of(bench, motor) for motor in mine]
+    made: list[str] = []
+
+    def use(group: MotorGroup, name: str) -> None:
+        for _ in range(_ROUNDS):
+            with group.reserve(name, timeout_s=_PATIENCE_S):
+                for motor in group:
+                    _prepare(motor, way)
+                group.start()
+                made.append(name)
+                finish_group(bench, group)
+                for motor in group:
+                    motor.disable()
+                rest_for(bench, _LINGER_S)
+
+    party = bench.runtime.spawn("theirs", lambda: use(theirs, "theirs"))
+    use(mine, "mine")
+    expect(party.join(_PATIENCE_S), "the group of the other program does not end")
+    if party.error is not None:
+        raise Violated(f"the group of the other program: {party.error!r}")
+    turns = [len(list(some)) for _, some in groupby(made)]
+    expect(max(turns) == 1, f"groups that wait for each other were served in the order {made}")
+    for motor, was in zip(mine, before, strict=True):
+        expect_moved(bench, motor, was, 2.0 * _ROUNDS * way, "two programs took turns", 2.0)
