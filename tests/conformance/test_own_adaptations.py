@@ -15,8 +15,8 @@ from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
-_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05")
-_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01")
+_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "PROC-13")
+_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01", "SYNC-20")
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
@@ -43,7 +43,7 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *("LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
     }
 )
-_OF_PROGRAMS = tuple(f"PROC-{number:02}" for number in range(8, 14))  # on a bus
+_OF_PROGRAMS = ("PROC-08", "PROC-09", "PROC-10", "PROC-11", "PROC-12", "SYNC-21")  # on a bus
 _OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
@@ -56,7 +56,7 @@ NOT_APPLICABLE = {
             *(f"LOST-{number:02}" for number in range(1, 14)),
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
-            *("SYNC-20", *_OF_PROGRAMS),
+            *_OF_PROGRAMS,
         }
     ),
     "dryve": _POLLED | {"MEAS-03"},
@@ -88,7 +88,7 @@ NOT_APPLICABLE = {
     "software": frozenset(
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
-            *("SET-05", "SYNC-05"),
+            *("SET-05", "SYNC-05", "SYNC-20"),  # its motors share a node
         }
     ),
     "vesc": _SAMPLED,

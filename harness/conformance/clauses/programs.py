@@ -39,6 +39,7 @@ from motorhil.motorapi import (
     Motor,
     MotorBusyError,
     MotorGroup,
+    MotorState,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
@@ -130,6 +131,9 @@ def program_leaves_motor_of_other_program_alone(bench: RigProtocol) -> None:
         spare = bench.facts.window + 0.1 * user.model.velocity_max
         apart = abs(stranger.position() - user.position())
         expect(apart <= spare, f"{what}, {stranger.name} reads a position {apart:g} off")
+        state = stranger.state()  # some drives do not tell whether they are on
+        is_right = state in (user.state(), MotorState.DISABLED)
+        expect(is_right, f"{what}, {stranger.name} reads state {state.value}")
         finish(bench, user, duration_s)
         took_s = elapsed_s(bench, begun_ns)
         most_s = bench.facts.time_tolerance_s + 0.1 * duration_s
