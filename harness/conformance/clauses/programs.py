@@ -14,6 +14,7 @@ from typing import Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    begin_move,
     elapsed_s,
     expect_moved,
     expect_rest,
@@ -22,9 +23,11 @@ from motorhil.harness.conformance.clauses.helpers import (
     finish,
     finish_group,
     follow,
+    half_move,
     long_move,
     midway_s,
     move,
+    pair_of,
     position_of,
     reached,
     rest_for,
@@ -343,6 +346,47 @@ def owners_are_announced_on_the_bus(bench: RigProtocol) -> None:
 
 
 @clause(
+    "PROC-14",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_TWO, Ability.OTHER_PROGRAM, Ability.TRAFFIC},  # a profile that the drive ends itself
+    source="Sharing and locking: stops are free; MotionInterrupted names the other program",
+)
+def any_program_may_stop_the_motor(bench: RigProtocol) -> None:
+    """Any program may stop a motor; the user of the motor learns it, and may move it again."""
+    motor, other = _both(bench)
+    way = 2.0 * long_move(bench)
+    for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
+        what = f"{stop.__name__}() of {other.name} in another program"
+        with motor.reserve("survey"):
+            begin = begin_move(bench, motor, way, midway_s(motor, way, 0.3))
+            stop(other)
+            error = failure_of(partial(motor.wait_until_done, _PATIENCE_S))
+            is_told = isinstance(error, MotionInterrupted) and "program" in error.by
+            expect(is_told, f"{what}: the wait of {motor.name} ended with {error!r}")
+            with _silent(bench, motor, f"{what}: {motor.name} was told of it"):
+                finish(bench, other)
+                rest_for(bench, _LINGER_S)
+            expect_rest(bench, motor, what)
+            made = abs(position_of(bench, motor) - begin)
+            expect(made < 0.95 * abs(way), f"after {what}, the motor moved {made:g} of {way:g}")
+            motor.enable()
+            before = position_of(bench, motor)
+            move(bench, motor, -0.1 * way)
+            expect_moved(bench, motor, before, -0.1 * way, f"after {what}")
+        way = -way
+
+
+def _require_separate(first: Motor, second: Motor) -> None:
+    """Require that two programs can have these motors at once, and enable them."""
+    try:
+        first.enable()
+        second.enable()
+    except MotorBusyError as error:  # as with motors that share a node
+        raise NotApplicable(f"two programs cannot have them at once: {error}") from None
+
+
+@clause(
     "SYNC-20",
     Level.L4,
     needs={*_MOVES, Capability.COMPLEX_POSITION},
@@ -354,11 +398,7 @@ def programs_share_one_clock(bench: RigProtocol) -> None:
     bench.apart()
     first, second = bench.motors[0], bench.another_user_of(bench.motors[1])
     way = long_move(bench)
-    try:
-        for motor in (first, second):
-            motor.enable()
-    except MotorBusyError as error:  # as with motors that share a node
-        raise NotApplicable(f"two programs cannot have them at once: {error}") from None
+    _require_separate(first, second)
     for early, late in ((first, second), (second, first)):
         before = [position_of(bench, motor) for motor in (early, late)]
         with bench.clock() as times_ns:
@@ -418,3 +458,38 @@ def groups_of_programs_take_turns(bench: RigProtocol) -> None:
     expect(max(turns) == 1, f"groups that wait for each other were served in the order {made}")
     for motor, was in zip(mine, before, strict=True):
         expect_moved(bench, motor, was, 2.0 * _ROUNDS * way, "two programs took turns", 2.0)
+
+
+@clause(
+    "SYNC-22",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SECOND_MOTOR},
+    source="MotorGroup.fault_reaction: a motor fails by a fault, a lost link, or a takeover",
+)
+def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
+    """If another program takes a member over, the others stop, and a wait tells the reason."""
+    bench.apart()
+    _require_separate(bench.motors[0], bench.another_user_of(bench.motors[1]))
+    way = half_move(bench)
+    for place in (0, 1):
+        group = pair_of(bench, way, way)
+        duration_s = 8.0 * shortest_s(bench.motor, way)
+        group.set_trajectory(*(TrapezoidalTrajectory(way, duration_s=duration_s) for _ in group))
+        lost, left = group[place], group[1 - place]
+        group.start()
+        before = position_of(bench, left)
+        rest_for(bench, 0.2 * duration_s)
+        other = bench.another_user_of(lost)
+        with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
+            expect_rest(bench, lost, f"{lost.name} was taken over from its group")
+            error = failure_of(partial(group.wait_until_done, _PATIENCE_S))
+            is_told = isinstance(error, MotionInterrupted) and "on demand" in error.by
+            expect(is_told, f"{lost.name} was taken over: the group's wait ended with {error!r}")
+            rest_for(bench, 1.1 * duration_s)
+            made = abs(position_of(bench, left) - before)
+            is_stopped = made < 0.9 * abs(way)
+            expect(is_stopped, f"{lost.name} was taken over, but {left.name} moved {made:g}")
+            _leave(bench, other)
+        _leave(bench, left)
+        way = -way

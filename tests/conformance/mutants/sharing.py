@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 
-from motorhil.motorapi import Motor, MotorBusyError
+from motorhil.motorapi import MotionInterrupted, Motor, MotorBusyError
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.sync import SharedBus
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -13,6 +13,7 @@ from motorhil.motorapi.adaptations.mit.hardware import MitHwMotor
 from motorhil.motorapi.api import can_drive
 from motorhil.motorapi.api.can_hardware import StreamedCanHardware
 from motorhil.motorapi.api.polled_motor import PolledMotor
+from motorhil.motorapi.group import CommonMotion
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.claim import AcquirePolicy, Claim, OwnershipKeepAlive
@@ -459,4 +460,35 @@ def each_program_has_its_own_clock():
         return lambda shared, name, where: make(shared, name, None)
 
     with replaced(SharedBus, "__init__", wrong):
+        yield
+
+
+@mutant("dryve", "PROC-14")
+def a_stop_needs_the_lock_between_programs():
+    """A stop is obeyed only if no other program has the motor."""
+
+    def wrong(bring):
+        def brought(motor, operation, stop):
+            with motor.physical.ownership.owned(motor, f"{operation}() of {motor.name}"):
+                bring(motor, operation, stop)
+
+        return lambda motor, *how: (bring if motor.physical.ownership.lock is None else brought)(
+            motor, *how
+        )
+
+    with replaced(LogicalMotor, "bring_to_rest", wrong):
+        yield
+
+
+@mutant("leadshine", "SYNC-22")
+def a_member_that_was_taken_over_is_no_failure():
+    """The others of a group go on when another program has taken one member over."""
+
+    def wrong(fail):
+        def failed(motion, motor, error):
+            return error if isinstance(error, MotionInterrupted) else fail(motion, motor, error)
+
+        return failed
+
+    with replaced(CommonMotion, "failed", wrong), replaced(CommonMotion, "_fail", wrong):
         yield
