@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 
-from motorhil.motorapi import MotionInterrupted, Motor, MotorBusyError
+from motorhil.motorapi import MotionInterrupted, Motor, MotorBusyError, execution
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.sync import SharedBus
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -491,4 +491,11 @@ def a_member_that_was_taken_over_is_no_failure():
         return failed
 
     with replaced(CommonMotion, "failed", wrong), replaced(CommonMotion, "_fail", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-16")
+def a_stop_that_a_start_does_not_notice():
+    """A start goes on although another user has stopped the motor since it began."""
+    with replaced(execution, "_check_not_interrupted", lambda _: lambda motors, seen: None):
         yield
