@@ -21,6 +21,7 @@ from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.rig import Named, Rig, RigPlugins, read_models
 from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.locking.directory import VARIABLE
+from motorhil.motorapi.locking.process_lock import close_spare_files
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 
 if TYPE_CHECKING:
@@ -177,6 +178,7 @@ def _locks_in(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
+        close_spare_files(locks)
         if before is None:
             del os.environ[VARIABLE]
         else:

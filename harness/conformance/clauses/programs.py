@@ -397,7 +397,7 @@ def programs_share_one_clock(bench: RigProtocol) -> None:
     """If two programs stream, one signal clocks both; it goes on when its producer has ended."""
     bench.apart()
     first, second = bench.motors[0], bench.another_user_of(bench.motors[1])
-    way = long_move(bench)
+    way = half_move(bench)
     _require_separate(first, second)
     for early, late in ((first, second), (second, first)):
         before = [position_of(bench, motor) for motor in (early, late)]
@@ -479,7 +479,7 @@ def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
     way = half_move(bench)
     for place in (0, 1):
         group = pair_of(bench, way, way)
-        duration_s = 8.0 * shortest_s(bench.motor, way)
+        duration_s = 5.0 * shortest_s(bench.motor, way)
         group.set_trajectory(*(TrapezoidalTrajectory(way, duration_s=duration_s) for _ in group))
         lost, left = group[place], group[1 - place]
         group.start()
