@@ -376,7 +376,7 @@ def operations_do_not_wait():
 
 @mutant("cia402", "PROC-08")
 def settings_of_other_programs_are_not_noticed():
-    """What was written to a drive is believed, although another program has had it since."""
+    """Values written to a drive are believed, although another program has had it since."""
 
     def wrong(take):
         def taken(physical, *args, **options):
