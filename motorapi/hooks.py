@@ -39,7 +39,8 @@ An adaptation may use any private name except those of the hooks and `_physical`
 keeps its own state under names of another form.
 
 A motor may be left moving, by a process that died or lost the motor to a takeover. Such a motor is
-brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it.
+brought to rest by `_stop`, `_refresh` and `_is_done` before its next owner commands it, unless it
+has a fault. A drive that does not tell whether it is on must obey `_stop` in any case.
 """
 
 from abc import ABC, abstractmethod

@@ -55,6 +55,8 @@ _ADOPTION_S: Final = 30.0
 """The timeout for the rest of a motor that was left moving [s]."""
 _COAST_LOOK_S: Final = 0.02
 """The time between two readings of the position of a motor without power [s]."""
+_SLOW_SHARE: Final = 0.01
+"""The share of the model's velocity below which a motor without power is taken for at rest."""
 
 
 @final
@@ -186,18 +188,36 @@ class LogicalMotor:
     def adopt(self, timeout_s: float | None = None, since_ns: int = 0) -> None:
         """Bring to rest a motor that a former owner has left moving.
 
+        Not every drive tells whether it is on: the motor may be driven although its state, as this
+        program knows it, is DISABLED.
+
         Raises:
             DeadlineExceeded: it does not come to rest, within `timeout_s` [s] of `since_ns`, if
                 given.
         """
-        hooks = self.hooks
-        if hooks.read_state() is MotorState.ENABLED:
+        hooks, coast = self.hooks, Rest(self.model)
+        if hooks.read_state() not in (MotorState.FAULT, MotorState.OFFLINE):
+            slow = _SLOW_SHARE * self.model.velocity_max
+            may_coast = abs(hooks.read_velocity()) > slow
             hooks.stop()
             left_s = _ADOPTION_S
             if timeout_s is not None:
                 left_s = max(0.0, timeout_s - (self.runtime.now_ns() - since_ns) / 1e9)
-            policy = AcquirePolicy(left_s, lambda: None, hooks.refresh)
-            if not policy.until(self.runtime, hooks.is_done, left_s):
+
+            def coasts() -> bool:
+                latest = hooks.latest()
+                is_off = latest is not None and latest.state is MotorState.DISABLED
+                return may_coast and is_off and not coast.rests
+
+            def refresh() -> float | None:
+                pause_s = hooks.refresh()
+                if not coasts():
+                    return pause_s
+                coast.see(hooks.read_position(), self.runtime.now_ns())
+                return _COAST_LOOK_S if pause_s is None else min(pause_s, _COAST_LOOK_S)
+
+            policy = AcquirePolicy(left_s, lambda: None, refresh)
+            if not policy.until(self.runtime, lambda: hooks.is_done() and not coasts(), left_s):
                 raise DeadlineExceeded(
                     awaited=f"rest of {self.name}, left moving by a former owner",
                     timeout_s=_ADOPTION_S if timeout_s is None else timeout_s,

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, NamedTuple, Protocol, final
 
 from motorhil.harness.rig.config.conformance import Facts
 
 if TYPE_CHECKING:  # the supervisor starts sooner without the motor interface
     from motorhil.motorapi import Motor
+    from motorhil.motorapi.ownership.claim import LockAction
     from motorhil.motorapi.runtime.api import Runtime
 
 Lost = Callable[[], int]
@@ -37,6 +38,27 @@ class Ability(Enum):
     SECOND_MOTOR = "move a second motor"
     SEVERAL_USERS = "create several logical motors for one physical motor"
     SOLE_USER = "have a motor without any other user"
+    ONE_PROGRAM = "have all users of a motor in one program"
+    SECOND_PROGRAM = "run a second program on the motor's bus"
+    OWNERS = "hear which program announces that it owns a motor"
+
+
+@final
+class Announced(NamedTuple):
+    """One announcement of the ownership of a motor.
+
+    Attributes:
+        action: the kind of event.
+        token: of the ownership; 0 for a request.
+        owner, purpose: in words.
+        sender: the name of the program's port on the bus.
+    """
+
+    action: "LockAction"
+    token: int
+    owner: str
+    purpose: str
+    sender: str
 
 
 class RigProtocol(Protocol):
@@ -72,6 +94,16 @@ class RigProtocol(Protocol):
 
     def another_user_of(self, motor: "Motor") -> "Motor":
         """Return another logical motor on the same physical motor (Ability.SEVERAL_USERS)."""
+
+    def apart(self) -> None:
+        """Switch everything off and on again; other users are of another program from now on.
+
+        The two programs share the bus, and know of each other only by locks
+        (Ability.SECOND_PROGRAM).
+        """
+
+    def owners_of(self, motor: "Motor") -> AbstractContextManager[Sequence[Announced]]:
+        """Record what programs announce of a motor's ownership, in the block (Ability.OWNERS)."""
 
     def true_position(self, motor: "Motor") -> float:
         """Return the motor's true position [U], not from the adaptation (Ability.TRUTH)."""

@@ -25,6 +25,7 @@ _MODULES: Final = (
     "parameters",
     "sharing",
     "processes",
+    "programs",
     "groups",
     "coordination",
     "traffic",

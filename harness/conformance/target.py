@@ -13,6 +13,7 @@ from typing import Final, final
 from motorhil.harness.conformance.bench import Opener
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.benches.variations import (
+    APART,
     OWN,
     READ,
     applicable,
@@ -73,13 +74,14 @@ class Target:
     def opener(self, record: Path | None = None, variation: str = OWN) -> Opener:
         """Return an opener for benches of this rig, varied, which record all to `record`."""
         if self._places is None:
-            rig = self._with(variation)
+            rig, parts = self._with(variation), parts_of(variation)
             return lambda: RigBench(
                 rig,
                 self.seed,
                 record=record,
                 is_observed=record is not None,
-                is_read=READ in parts_of(variation),
+                is_read=READ in parts,
+                is_apart=APART in parts,
             )
         from motorhil.harness.conformance.benches.wall_bench import WallBench
 

@@ -204,6 +204,7 @@ class EmulatedBus(can.BusABC):
         receive_own_messages: True to receive messages of this object too.
         ignore_rx_error_frames: True to receive no error frames.
         fd: True to send and receive CAN FD frames.
+        shared_at: the socket through which processes share the rig; "": as the rig was opened.
 
     Attributes:
         channel: the name of the bus or the hub's socket.
@@ -219,6 +220,7 @@ class EmulatedBus(can.BusABC):
         receive_own_messages: bool = False,
         ignore_rx_error_frames: bool = False,
         fd: bool = False,
+        shared_at: str = "",
         **kwargs: Any,  # Any: python-can passes every option of its configuration here
     ) -> None:
         self.channel_info: str = f"emulated bus {channel}"
@@ -236,7 +238,8 @@ class EmulatedBus(can.BusABC):
         self._port: HostPort | None = None
         self._shared_at = ""
         if self.channel in _OPEN:
-            world, runtime, self._shared_at = _OPEN[self.channel]
+            world, runtime, opened_at = _OPEN[self.channel]
+            self._shared_at = shared_at or opened_at
             self.runtime: VirtualRuntime = runtime
             self._world = world
             if fd and world.bus(self.channel).data_bitrate_bit_s is None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Generic, NamedTuple, TypeVar
 from motorhil.motorapi.api.can_drive import CanDrive, checked_node
 from motorhil.motorapi.api.registration import Options
 from motorhil.motorapi.api.streamed_motion import StreamedMotion
+from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
 from motorhil.motorapi.state import Fault, Measurement, MotorState
 
 if TYPE_CHECKING:
@@ -174,6 +175,13 @@ class StreamedCanHardware(CanHardware[OptionsT]):
         self.estimate: Estimate | None = None
         self.fault: Fault | None = None
         self.motions = StreamedMotion(self.drive, period_ms / 1e3, lead_ms / 1e3)
+        self.drive.physical.ownership.listeners.append(self._see_ownership)
+
+    def _see_ownership(self, event: OwnershipEvent) -> None:
+        """End a repeated command when another program has taken the motor over."""
+        lock = self.drive.physical.ownership.lock
+        if event.action is LockAction.LOST and lock is not None and lock.hold is None:
+            self.forget()
 
     def _rests(self) -> bool:
         return not self.motions.is_going

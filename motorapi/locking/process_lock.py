@@ -25,6 +25,7 @@ import weakref
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
@@ -746,6 +747,11 @@ class ProcessLock:
         raise refusal
 
     @property
+    def directory(self) -> Path:
+        """The directory of its file."""
+        return self._directory.path
+
+    @property
     def hold(self) -> LockHandle | None:
         """The handle of this lock object in this process, or None."""
         hold = self._hold
@@ -903,6 +909,15 @@ def _loss(who: Occupant, reason: str) -> Loss:
 _all_lock: Final = threading.Lock()
 _all: Final["weakref.WeakSet[ProcessLock]"] = weakref.WeakSet()
 _process: list[ThisProcess] = []
+
+
+def close_spare_files(directory: Path) -> None:
+    """Close the spare files of all locks in this directory, which no object uses any more."""
+    with _all_lock:
+        locks = tuple(_all)
+    for lock in locks:
+        if lock.directory == directory:
+            lock.close()
 
 
 def this_process() -> ThisProcess:

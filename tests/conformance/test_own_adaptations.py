@@ -15,8 +15,8 @@ from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
-_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05")
-_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01")
+_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "PROC-13")
+_OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01", "SYNC-20")
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
@@ -30,7 +30,7 @@ _STREAMED = frozenset(  # functions of time for positions; no common trigger, no
     {
         *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12", "TRAJ-14"),
         *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "LOW-04"),
-        *("HEAR-05", "SHARE-02", "LOST-08", "LOW-06"),
+        *("HEAR-05", "SHARE-02", "PROC-14", "LOST-08", "LOW-06"),
         *_OF_CANOPEN,
     }
 )
@@ -39,10 +39,11 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LEAD-01", "LEAD-02"),
         *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12, 14)),
         *("FAULT-07", "HOME-04"),
-        *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
+        *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "PROC-14", "SYNC-06", "SYNC-11"),
         *("LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
     }
 )
+_OF_PROGRAMS = ("PROC-08", "PROC-09", "PROC-10", "PROC-11", "PROC-12", "SYNC-21", "SYNC-22")
 _OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
@@ -51,10 +52,11 @@ NOT_APPLICABLE = {
             *("STATE-02", "MEAS-02", "MEAS-03", "MEAS-05"),  # no load
             *("SET-04", "SET-07", "TRAJ-06"),  # likewise
             *("HEAR-01", "HEAR-02", "HEAR-03", "HEAR-04", "HOME-03", "LOW-03"),  # no bus
-            *("HEAR-05", "SHARE-02", "SYNC-05", "SYNC-06"),  # likewise
+            *("HEAR-05", "SHARE-02", "PROC-14", "SYNC-05", "SYNC-06"),  # likewise
             *(f"LOST-{number:02}" for number in range(1, 14)),
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
+            *_OF_PROGRAMS,
         }
     ),
     "dryve": _POLLED | {"MEAS-03"},
@@ -76,7 +78,7 @@ NOT_APPLICABLE = {
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
             *("TRAJ-14", "FAULT-07"),
             *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
-            *("HEAR-05", "LOW-04", "SHARE-02"),
+            *("HEAR-05", "LOW-04", "SHARE-02", "PROC-14"),
             *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
         }
     ),
@@ -86,7 +88,7 @@ NOT_APPLICABLE = {
     "software": frozenset(
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
-            *("SET-05", "SYNC-05"),
+            *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22"),  # its motors share a node
         }
     ),
     "vesc": _SAMPLED - {"LOW-03", "LOST-07"},

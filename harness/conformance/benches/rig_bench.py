@@ -1,7 +1,7 @@
 """An emulated rig in virtual time as a bench, with all abilities."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING, Final, Self, final
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack, pack_fd
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorhil.harness.conformance.bench import Ability, Lost
+from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
+from motorhil.harness.conformance.bench import Ability, Announced, Lost
+from motorhil.harness.conformance.benches.programs import Programs
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.plugins import DECODERS, installed
+from motorhil.harness.python_can.bus import EmulatedBus
 from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.faults import HOST
@@ -22,6 +25,7 @@ from motorhil.harness.rig.config.units import units_per_plant_rad
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.motorapi import Motor, MotorError, UsageError
+from motorhil.motorapi.ownership.claim import LockAction
 
 if TYPE_CHECKING:  # a first verdict needs no decoder
     from motorhil.harness.conformance.verdicts.observation import Observation
@@ -114,6 +118,7 @@ class RigBench:
         record: an MCAP file for all events; `afresh` begins a new record.
         is_observed: keep what a diagnosis needs, in `observation`.
         is_read: another program reads the positions of the motors under test all the time.
+        is_apart: other users of the motors are of another program, as after `apart`.
         limit_s: the time limit in the rig's time, after which `TimeIsUp` ends all waits [s].
 
     The declared messages of other senders are sent.
@@ -127,6 +132,7 @@ class RigBench:
         record: Path | None = None,
         is_observed: bool = False,
         is_read: bool = False,
+        is_apart: bool = False,
         limit_s: float = 120.0,
     ) -> None:
         self._readers: tuple[str, ...] = ()
@@ -139,6 +145,7 @@ class RigBench:
         self._description = description
         self._record = record
         self._is_observed = is_observed
+        self._is_apart = is_apart
         self._limit_s = limit_s
         self._rules = 0
         self.seed = seed
@@ -153,6 +160,8 @@ class RigBench:
         )
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
 
+        self._programs = Programs(self.rig, _is_other) if self._is_apart else None
+        self._motors = self.rig.motors if self._programs is None else self._programs.motors
         for bus in self._description.buses.values():
             self._send_messages(bus)
         for reader in self._readers:
@@ -164,7 +173,8 @@ class RigBench:
     def _observe(self) -> "Observation":
         from motorhil.harness.conformance.verdicts.observation import Observation
 
-        return Observation(self.rig, self._description, self.facts.motors, self._seen_truth)
+        motors = {name: self._motors[name] for name in self.facts.motors}
+        return Observation(self.rig, self._description, motors, self._seen_truth)
 
     def _send_messages(self, bus: BusDescription) -> None:
         """Send the declared messages of others from a node of their own, each with its period."""
@@ -179,7 +189,7 @@ class RigBench:
 
     def _read(self, reader: str) -> None:
         """Read a motor's position as another program does, whatever the drive answers."""
-        runtime, motor = self.runtime, self.rig.motors[reader]
+        runtime, motor = self.runtime, self._motors[reader]
         while True:
             runtime.wait_until(lambda: False, _READ_PERIOD_S)
             with suppress(MotorError):
@@ -209,13 +219,25 @@ class RigBench:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.rig.close()
+        self._switch_off()
+
+    def _switch_off(self) -> None:
+        with closing(self.rig):
+            if self._programs is not None:
+                with closing(self._programs):
+                    self.runtime.close()  # parties end while their motors are open
 
     def afresh(self) -> None:
         """Switch everything off and on again, unless all is new: `motors` are new and unused."""
         if self._is_used or self.runtime.now_ns() > 0:
-            self.rig.close()
+            self._switch_off()
             self._switch_on()
+
+    def apart(self) -> None:
+        """Switch everything off and on again; other users are of another program from now on."""
+        self._switch_off()
+        self._is_apart = True
+        self._switch_on()
 
     # --- motors under test ----------------------------------------------------------------
 
@@ -228,26 +250,28 @@ class RigBench:
     def abilities(self) -> Sequence[Ability]:
         """The abilities of an emulated rig for these motors."""
         able = {Ability.AFRESH, Ability.SEVERAL_USERS}
+        if self._programs is None:
+            able.add(Ability.ONE_PROGRAM)
         if not self._readers:
             able.add(Ability.SOLE_USER)
         if len(self.facts.motors) > 1:
             able.add(Ability.SECOND_MOTOR)
         name = self.facts.motors[0]
-        first, motor = self._description.motors[name], self.rig.motors[name]  # not used by that
+        first, motor = self._description.motors[name], self._motors[name]  # not used by that
         if first.adaptation == "ideal":
             able |= {Ability.TRUTH, Ability.FAULT}
         elif "position_rad" in self._truth(motor):
             able.add(Ability.TRUTH)
         if first.controller is not None:
             able |= {Ability.LOAD, Ability.FAULT, Ability.LOSE}
-            able |= {Ability.CUT, Ability.SILENCE_HOST}
+            able |= {Ability.CUT, Ability.SILENCE_HOST, Ability.SECOND_PROGRAM}
             kind = self._description.controllers[first.controller].kind
             if kind in _CANOPEN or self._is_on_a_line(motor):
                 able |= {Ability.TRAFFIC, Ability.LATE}
             if self._is_plain(motor) and kind not in installed(DECODERS):
                 able.remove(Ability.TRAFFIC)
             if not self._is_on_a_line(motor):
-                able |= {Ability.BUS_ERRORS, Ability.ONE_KIND}
+                able |= {Ability.BUS_ERRORS, Ability.ONE_KIND, Ability.OWNERS}
             if kind in _CANOPEN:
                 able |= {Ability.STOP_SYNC, Ability.CLOCK}
             if kind in _CANOPEN or kind in _SWITCHED:
@@ -260,18 +284,18 @@ class RigBench:
     def motor(self) -> Motor:
         """The motor under test."""
         self._is_used = True
-        return self.rig.motors[self.facts.motors[0]]
+        return self._motors[self.facts.motors[0]]
 
     @property
     def motors(self) -> Sequence[Motor]:
         """All motors under test."""
         self._is_used = True
-        return tuple(self.rig.motors[name] for name in self.facts.motors)
+        return tuple(self._motors[name] for name in self.facts.motors)
 
     def another_user_of(self, motor: Motor) -> Motor:
         """Return another logical motor on the same physical motor."""
         self._is_used = True
-        return self.rig.motors[f"{physical_name(motor)}-{SECOND_USER}"]
+        return self._motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
     # --- observations and actions ---------------------------------------------------------
 
@@ -380,7 +404,7 @@ class RigBench:
             if (
                 motor is None and not skip
             ):  # the host may have nothing to send now; no node receives this
-                self.rig.bus(self._bus(struck)).transmit(pack(_UNUSED_ID))
+                self._first_link(self._bus(struck)).transmit(pack(_UNUSED_ID))
             yield lost
 
     @contextmanager
@@ -468,7 +492,10 @@ class RigBench:
 
     @contextmanager
     def commands_to(self, motor: Motor) -> Iterator[list[str]]:
-        """Record host commands to the motor's drive that may move or change it, in the block."""
+        """Record host commands to the motor's drive that may move or change it, in the block.
+
+        If other users are of another program, those of the motor's own program.
+        """
         from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 
         seen: list[str] = []
@@ -478,9 +505,13 @@ class RigBench:
         head = 6 if kind == MODBUS_TCP else 0
         describe = self._decoder(motor) if kind == SERIAL else None
         listening = [True]
+        port = None if self._programs is None else self._programs.port(motor.name)
+
+        def is_host(sender: str) -> bool:
+            return sender.startswith(HOST) if port is None else sender == port
 
         def on_frame(where: str, _time_ns: int, sender: str, frame: bytes) -> None:
-            if listening and where == bus and sender.startswith(HOST):
+            if listening and where == bus and is_host(sender):
                 can_id = can_id_of(frame)
                 if commanded_node(can_id, data_of(frame)) in (0, address):
                     seen.append(f"{can_id:03X}h")
@@ -488,7 +519,7 @@ class RigBench:
         def on_adu(
             where: str, _now: int, _first: int, _last: int, sender: str, adu: bytes, _: bool
         ) -> None:
-            if not listening or where != bus or not sender.startswith(HOST):
+            if not listening or where != bus or not is_host(sender):
                 return
             if describe is not None:
                 message = describe(adu)
@@ -507,7 +538,33 @@ class RigBench:
         finally:
             listening.clear()
 
+    @contextmanager
+    def owners_of(self, motor: Motor) -> Iterator[list[Announced]]:
+        """Record what programs announce of the ownership of a motor, in the block."""
+        told: list[Announced] = []
+        described = self._description.motors[physical_name(motor)]
+        node = self._description.controllers[self._controller(motor)].node_id or 0
+        channel = described.settings.get("channel", 0)
+        bus, resource = self._bus(motor), node | (channel if isinstance(channel, int) else 0) << 8
+        listening = [True]
+
+        def on_notice(where: str, _time_ns: int, sender: str, notice: OwnershipNotice) -> None:
+            if listening and where == bus and notice.resource == resource:
+                action = LockAction(notice.action)
+                words = notice.owner, notice.purpose, sender
+                told.append(Announced(action, notice.token, *words))
+
+        self.rig.world.tap_ownership(on_notice)
+        try:
+            yield told
+        finally:
+            listening.clear()
+
     # --- helpers --------------------------------------------------------------------------
+
+    def _first_link(self, bus: str) -> EmulatedBus:
+        """Return the connection by which the motors under test send on a CAN bus."""
+        return self.rig.bus(bus) if self._programs is None else self._programs.bus(bus)
 
     def _controller(self, motor: Motor) -> str:
         controller = self._description.motors[physical_name(motor)].controller
@@ -595,6 +652,11 @@ class RigBench:
             yield lambda: self.rig.faults.fired().get(name, 0)
         finally:
             self.rig.faults.lift(bus, name)
+
+
+def _is_other(name: str) -> bool:
+    """Return whether a motor of this name is another user's."""
+    return name.endswith((f"-{SECOND_USER}", f"-{_READER}"))
 
 
 def physical_name(motor: Motor) -> str:

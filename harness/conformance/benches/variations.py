@@ -98,6 +98,8 @@ _BUSY: list[Change] = [  # half of the bus; too much for a slow one, so its rate
 ]
 READ: Final = "a second program reads"
 """The variation in which another program reads the motors; see `RigBench`."""
+APART: Final = "other users in a second program"
+"""The variation in which other users of a motor are of another program; see `RigBench.apart`."""
 _ELASTIC = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
@@ -152,6 +154,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     ],
     "busy bus": _BUSY,
     READ: [],
+    APART: [],
     "slow SDO server": of_drive("timing = { sdo_reply_s = 0.005 }"),
     "friction": [
         *of_plant("coulomb_friction_n_m = 0.008"),
@@ -180,8 +183,6 @@ _GENERAL: Final = (
     *OPTIONS,
 )
 """Variations that not only rigs with CiA 402 drives can have, if their text has the places."""
-NOT_VARIED: Final = ("a second program that takes the motor",)
-"""Conditions that no variation makes yet; a run reports that they were not met."""
 _AND: Final = " + "
 OWN: Final = ""
 """The name of the rig as it is."""
@@ -261,7 +262,7 @@ def assigned(clauses: Sequence[str], names: Sequence[str], seed: int) -> dict[st
 
 
 def not_met(names: Sequence[str], met: Collection[str]) -> list[str]:
-    """Return the variations, and other conditions, that no checked clause has met.
+    """Return the variations that no checked clause has met.
 
     Of the pairs among `names` only their number is told.
     """
@@ -270,4 +271,4 @@ def not_met(names: Sequence[str], met: Collection[str]) -> list[str]:
     missing = [name for name in names if _AND not in name and name not in parts]
     if pairs:
         missing.append(f"{sum(one not in met for one in pairs)} of {len(pairs)} pairs")
-    return missing + list(NOT_VARIED)
+    return missing

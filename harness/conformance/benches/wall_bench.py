@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
-from motorhil.harness.conformance.bench import Ability, Lost
+from motorhil.harness.conformance.bench import Ability, Announced, Lost
 from motorhil.harness.conformance.benches.rig_bench import SECOND_USER, physical_name
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.recording.sources import Kind, PlaceError, open_bus, parse_place
@@ -140,7 +140,7 @@ class WallBench:
     @property
     def abilities(self) -> Sequence[Ability]:
         """The abilities of this bench."""
-        able = [Ability.AFRESH, Ability.SEVERAL_USERS, Ability.SOLE_USER]
+        able = [Ability.AFRESH, Ability.SEVERAL_USERS, Ability.SOLE_USER, Ability.ONE_PROGRAM]
         if len(self.facts.motors) > 1:
             able.append(Ability.SECOND_MOTOR)
         return tuple(one for one in Ability if one in able)
@@ -236,6 +236,14 @@ class WallBench:
     def commands_to(self, motor: Motor) -> AbstractContextManager[Sequence[str]]:
         """Raise NotApplicable."""
         _refuse(Ability.TRAFFIC)
+
+    def apart(self) -> None:
+        """Raise NotApplicable: a program has its own process here."""
+        _refuse(Ability.SECOND_PROGRAM)
+
+    def owners_of(self, motor: Motor) -> AbstractContextManager[Sequence[Announced]]:
+        """Raise NotApplicable."""
+        _refuse(Ability.OWNERS)
 
     # --- helpers --------------------------------------------------------------------------
 

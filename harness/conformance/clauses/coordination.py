@@ -373,3 +373,10 @@ def observer_gets_each_quality(bench: RigProtocol) -> None:
     expect(one.start_skew_s in (0.0, None), f"one of two members has a way: {one}")
     expect(one.predicted_end_skew_s == 0.0, f"one of two members ends: {one}")
     expect(one.path == (), f"a path without PHASE: {one}")
+    group.observe(_refuse)
+    what = "its observer raised an error, but the wait returned"
+    expect_raises(UsageError, partial(group.wait_until_done, _GROUP_S), what)
+
+
+def _refuse(quality: SyncQuality) -> None:
+    raise UsageError(f"an observer does not like {quality}")

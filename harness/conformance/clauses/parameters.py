@@ -72,7 +72,7 @@ def _read_in_motion(bench: RigProtocol, motor: Motor, hardware: Any, way: float)
     "PAR-01",
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
-    bench={Ability.SEVERAL_USERS},
+    bench={Ability.SEVERAL_USERS, Ability.ONE_PROGRAM},
     source="paper, 3.2 and 3.5, motor parameters; CiA 402-2, 6065h to 6068h, 606Dh, 606Eh",
 )
 def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:

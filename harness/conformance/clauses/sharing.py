@@ -49,6 +49,7 @@ from motorhil.motorapi import (
 
 _WATCHED_S = 0.2
 _SHARED = {Ability.SEVERAL_USERS}
+_TOGETHER = {*_SHARED, Ability.ONE_PROGRAM}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
 _LEASE_S = 0.2
@@ -66,7 +67,7 @@ def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
     "SHARE-01",
     Level.L3,
     needs=_MOVES,
-    bench={*_SHARED, Ability.TRUTH},
+    bench={*_TOGETHER, Ability.TRUTH},
     source="requirement 4 of the paper: inform the users; MotorBusyError",
 )
 def moving_motor_refuses_other_user(bench: RigProtocol) -> None:
@@ -139,7 +140,7 @@ def refused_user_sends_no_command(bench: RigProtocol) -> None:
     "SHARE-03",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="Sharing and locking: reading and stops are free; MotionInterrupted",
 )
 def any_user_may_read_and_stop(bench: RigProtocol) -> None:
@@ -297,7 +298,7 @@ def users_are_served_in_order(bench: RigProtocol) -> None:
     "SHARE-08",
     Level.L3,
     needs={*_MOVES, Capability.VELOCITY_SET_POINT},
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="Sharing and locking: leases, take_over; the next owner brings a moving motor to rest",
 )
 def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
@@ -325,6 +326,13 @@ def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
     finish(bench, motor)
     with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
         expect_rest(bench, motor, f"turning without a reservation, taken over by {other.name}")
+    with motor.reserve("survey"):
+        way = 2.0 * long_move(bench)
+        begin_move(bench, motor, way, midway_s(motor, way, 0.3))
+        other.stop()
+        with motor.reserve("back", take_over=True, timeout_s=_PATIENCE_S):
+            expect_rest(bench, motor, f"stopped by {other.name}, taken over by {motor.name}")
+            _expect_interrupted(other, motor, "reserve(take_over=True)")
     with motor.reserve("lease", lease_s=_LEASE_S) as lease:
         expect(_refusal_of(lambda: _reserve(other)) is not None, "a valid lease was taken")
         rest_for(bench, 2.0 * _LEASE_S)
@@ -341,7 +349,7 @@ def _reserve(motor: Motor) -> None:
     "SHARE-09",
     Level.L3,
     needs={*_MOVES, Capability.LOW_LEVEL},
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="requirement 2 of the paper: no other part of the interface will have any effect",
 )
 def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
@@ -365,6 +373,7 @@ def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
             sent = sorted(set(seen))
         else:
             _expect_all_refused(bench, other)
+        _expect_last_readings(other)
         expect(not sent, f"unused low-level access, but the bus had {', '.join(sent)}")
     before = position_of(bench, motor)
     other.start()
@@ -372,8 +381,30 @@ def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
     expect_moved(bench, motor, before, way, f"then started by {other.name}")
 
 
+def _expect_last_readings(other: Motor) -> None:
+    """Check that readings are those received last, or are refused, during low-level access."""
+    latest = other.latest()
+    if latest is None:  # a host that only asks has forgotten them
+        for read in (other.state, other.fault):
+            expect(_refusal_of(read) is not None, f"{read.__name__}() asked the drive")
+    else:
+        expect(other.state() is latest.state, f"state() is not that of {latest}")
+        expect(other.fault() is None, f"fault() is {other.fault()}, but latest() is {latest}")
+    if latest is None or latest.position is None:
+        expect(_refusal_of(other.position) is not None, "position() asked the drive")
+    else:
+        expect(other.position() == latest.position, f"position() is not that of {latest}")
+    for read in (other.velocity, other.torque, other.following_error):
+        error = failure_of(read)
+        is_right = error is None or isinstance(error, MotorBusyError)
+        expect(is_right, f"{read.__name__}() in low-level access of another user: {error!r}")
+    refused = _refusal_of(other.is_referenced)
+    expect(refused is not None, "is_referenced() asked the drive in low-level access of another")
+
+
 def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
-    for operation in (other.start, other.stop, other.enable, other.disable, other.home):
+    take_over = other.reserve("rescue", take_over=True).__enter__
+    for operation in (other.start, other.stop, other.enable, other.disable, other.home, take_over):
         expect(
             _refusal_of(operation) is not None,
             f"{operation.__name__}() of {other.name} accepted",
@@ -385,7 +416,7 @@ def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     "SHARE-10",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="paper 3.5: one hardware object, shared by all; Device.close",
 )
 def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
@@ -570,7 +601,7 @@ def readers_at_once_get_own_answers(bench: RigProtocol) -> None:
     "SHARE-15",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="motorapi.ownership: one operation at a time, in the order of requests; Motor.enable",
 )
 def operations_at_once_take_turns(bench: RigProtocol) -> None:
@@ -597,7 +628,7 @@ def operations_at_once_take_turns(bench: RigProtocol) -> None:
     "SHARE-11",
     Level.L3,
     needs={Capability.POSITION_TRAJECTORY},
-    bench={Ability.SEVERAL_USERS, Ability.AFRESH},
+    bench={*_TOGETHER, Ability.AFRESH},
     source="harness.sharing_tests: the history of every motor is that of one owner at a time",
 )
 def motor_has_one_owner_at_a_time(bench: RigProtocol) -> None:
@@ -647,7 +678,7 @@ def _rig_of(bench: RigProtocol) -> Any:
     "SHARE-14",
     Level.L3,
     needs=_MOVES,
-    bench=_SHARED,
+    bench=_TOGETHER,
     source="Motor.reserve, Motor.start: MotorBusyError names the holder; UsageError",
 )
 def refusal_names_who_is_next(bench: RigProtocol) -> None:
@@ -695,3 +726,45 @@ def refusal_names_who_is_next(bench: RigProtocol) -> None:
 def _enter(reserve: Callable[[], Any]) -> None:
     with reserve():
         pass
+
+
+@clause(
+    "SHARE-16",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_TOGETHER, Ability.TRUTH},
+    source="Motor.start: MotionInterrupted, another party stopped the motor meanwhile",
+)
+def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
+    """A stop at any time of another user's start ends that motion: it is not made all the same."""
+    motor, other = _both(bench)
+    way = long_move(bench)
+    usual_s = 0.0
+    for share in (None, 0.02, 0.3, 0.6, 0.9, 0.999):
+        motor.disable()
+        before, begun_ns = position_of(bench, motor), bench.runtime.now_ns()
+        party = None
+        if share is not None:
+            party = bench.runtime.spawn("stop", partial(_stop_after, bench, other, share * usual_s))
+        _prepare(motor, way)
+        error = failure_of(motor.start)
+        if party is None:
+            usual_s = elapsed_s(bench, begun_ns)
+            motor.stop()
+            finish(bench, motor)
+            continue
+        expect(party.join(_PATIENCE_S) and party.error is None, f"stop(): {party.error!r}")
+        what = f"{other.name} called stop() {share:.0%} into start() of {motor.name}"
+        error = error or failure_of(partial(motor.wait_until_done, _PATIENCE_S))
+        is_told = isinstance(error, MotionInterrupted) and other.name in error.by
+        expect(is_told, f"{what}: {error!r}; expected that it is told of the stop")
+        finish(bench, other)
+        expect_rest(bench, motor, what)
+        made = abs(position_of(bench, motor) - before)
+        expect(made < 0.9 * abs(way), f"{what}, but it moved {made:g} of {abs(way):g}")
+        way = -way
+
+
+def _stop_after(bench: RigProtocol, motor: Motor, time_s: float) -> None:
+    rest_for(bench, time_s)
+    motor.stop()

@@ -75,12 +75,12 @@ class Observation:
     Args:
         rig: the open rig.
         description: its description.
-        names: the motors to observe.
+        motors: the motors to observe, by name.
         truth_of: the true position, velocity and torque of a motor [U, U/s, N·m or N], and the
             drive's own values.
 
     Attributes:
-        motors: the observed motors, by name.
+        motors: as given.
         samples: by motor.
     """
 
@@ -88,14 +88,14 @@ class Observation:
         self,
         rig: "Rig",
         description: "RigDescription",
-        names: tuple[str, ...],
+        motors: Mapping[str, "Motor"],
         truth_of: Callable[["Motor"], Mapping[str, float]],
     ) -> None:
-        self.motors: Final = {name: rig.motors[name] for name in names}
+        self.motors: Final = motors
         self.samples: Final[dict[str, deque[Sample]]] = {
-            name: deque(maxlen=_SAMPLES) for name in names
+            name: deque(maxlen=_SAMPLES) for name in motors
         }
-        self._runs: dict[str, deque[ActiveMotion]] = {name: deque(maxlen=_RUNS) for name in names}
+        self._runs: dict[str, deque[ActiveMotion]] = {name: deque(maxlen=_RUNS) for name in motors}
         self._description = description
         self._truth_of = truth_of
         self._queue = rig.world.queue

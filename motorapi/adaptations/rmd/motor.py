@@ -34,6 +34,7 @@ from motorhil.motorapi.api import (
     REQUIRED,
     CanBuilder,
     ControlVariable,
+    DeadlineExceeded,
     Estimate,
     LinkError,
     Motion,
@@ -211,16 +212,22 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
                 continue
             self.drive.confirm(self.tell(_WRITE_ACCELERATION, bytes((index, *bytes(6)))))
             self._acceleration.pop(index, None)
-            self.drive.exchange(
-                partial(self._ask, _READ_ACCELERATION, index),
-                partial(self._acceleration.__contains__, index),
-                *(_OBEYED_S, "answer to 42h", _REPEAT_S),
-            )
-            if self._acceleration[index] != 0:
+            try:  # an answer to another program may tell the former value
+                self.drive.exchange(
+                    partial(self._ask, _READ_ACCELERATION, index),
+                    partial(self._is_direct, index),
+                    *(_OBEYED_S, "answer to 42h", _REPEAT_S),
+                )
+            except DeadlineExceeded:
+                if index not in self._acceleration:
+                    raise
                 raise PeerError(
                     f"{self.label}: acceleration {index} is {self._acceleration[index]} deg/s²"
                     " after 0 was written; expected a drive of type V3; check its firmware"
-                )
+                ) from None
+
+    def _is_direct(self, index: int) -> bool:
+        return self._acceleration.get(index) == 0
 
     def read_errors(self) -> int:
         """Return the errors that the drive reports now.

@@ -1,6 +1,6 @@
 """Mistakes with synchronised motors."""
 
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -325,4 +325,22 @@ def an_observer_that_is_told_twice():
         return twice
 
     with replaced(MotorGroup, "observe", wrong):
+        yield
+
+
+@mutant("dryve", "SYNC-21")
+def programs_with_an_order_of_their_own():
+    """A group takes its members in its own order: those of two programs block each other."""
+
+    def wrong(reserve):
+        @contextmanager
+        def reserved(group, *args, **options):
+            for place, motor in enumerate(group):
+                motor.logical.physical.order = ("", "", place)
+            with reserve(group, *args, **options) as reservation:
+                yield reservation
+
+        return reserved
+
+    with replaced(MotorGroup, "reserve", wrong):
         yield

@@ -2,12 +2,19 @@
 
 from contextlib import contextmanager
 
-from motorhil.motorapi import Motor, MotorBusyError
+from motorhil.motorapi import MotionInterrupted, Motor, MotorBusyError, execution
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.canopen.sync import SharedBus
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
+from motorhil.motorapi.adaptations.mit.hardware import MitHwMotor
+from motorhil.motorapi.api import can_drive
+from motorhil.motorapi.api.can_hardware import StreamedCanHardware
 from motorhil.motorapi.api.polled_motor import PolledMotor
+from motorhil.motorapi.group import CommonMotion
+from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.claim import AcquirePolicy, Claim, OwnershipKeepAlive
 from motorhil.motorapi.ownership.fencing import BoundFence
@@ -364,4 +371,131 @@ def operations_do_not_wait():
         raise queue._queue[0].busy(queue.label)
 
     with replaced(FifoQueue, "_wait", lambda _: refuse):
+        yield
+
+
+@mutant("cia402", "PROC-08")
+def settings_of_other_programs_are_not_noticed():
+    """Values written to a drive are believed, although another program has had it since."""
+
+    def wrong(take):
+        def taken(physical, *args, **options):
+            physical._absences = physical.ownership.absences
+            take(physical, *args, **options)
+
+        return taken
+
+    left = replaced(SharedNode, "is_as_we_left_it", lambda _: True)
+    with left, replaced(PhysicalMotor, "take", wrong):
+        yield
+
+
+@mutant("robstride", "PROC-09")
+def a_set_point_that_is_repeated_after_a_takeover():
+    """A program that has lost its motor goes on with the set-point that it repeats."""
+    with replaced(StreamedCanHardware, "_see_ownership", lambda _: lambda hardware, event: None):
+        yield
+
+
+@mutant("mit", "PROC-10")
+def a_repeated_command_renews_the_lease():
+    """A motor that is held by repeated commands keeps its lease, which nobody uses."""
+
+    def wrong(ask):
+        def asked(hardware):
+            hardware.drive.physical.ownership.use(
+                getattr(hardware.drive.physical.ownership.held, "owner", None)
+            )
+            ask(hardware)
+
+        return asked
+
+    with replaced(MitHwMotor, "_ask", wrong):
+        yield
+
+
+@mutant("cia402", "PROC-11")
+def a_reader_that_does_not_wait_for_the_owner():
+    """Reading fails at once if the owner, another program, has not yet set the drive up."""
+
+    def wrong(set_up):
+        return lambda shared, sdo, _timeout_s, bring_up: set_up(shared, sdo, 0.0, bring_up)
+
+    with replaced(SharedNode, "set_up", wrong):
+        yield
+
+
+@mutant("leadshine", "PROC-12")
+def another_program_is_asked_for_too_long():
+    """A request waits for a motor of another program ten times as long as it was told to."""
+
+    def wrong(acquire):
+        def patient(lock, runtime, purpose, timeout_s=0.0, owner=None, **how):
+            wait = how.pop("wait", None)
+
+            def longer(runtime, done, time_s):
+                return wait(runtime, done, 10.0 * time_s)
+
+            how["wait"] = None if wait is None else longer
+            return acquire(lock, runtime, purpose, timeout_s, owner, **how)
+
+        return patient
+
+    with replaced(ProcessLock, "acquire", wrong):
+        yield
+
+
+@mutant("moteus", "PROC-13")
+def owners_are_told_to_nobody():
+    """A program does not announce on the bus that it owns a motor."""
+    with replaced(can_drive, "announce", lambda _: lambda ownership, bus, resource: None):
+        yield
+
+
+@mutant("cia402", "SYNC-20")
+def each_program_has_its_own_clock():
+    """Each program produces its cyclic SYNC, whether or not another one does."""
+
+    def wrong(make):
+        return lambda shared, name, where: make(shared, name, None)
+
+    with replaced(SharedBus, "__init__", wrong):
+        yield
+
+
+@mutant("dryve", "PROC-14")
+def a_stop_needs_the_lock_between_programs():
+    """A stop is obeyed only if no other program has the motor."""
+
+    def wrong(bring):
+        def brought(motor, operation, stop):
+            with motor.physical.ownership.owned(motor, f"{operation}() of {motor.name}"):
+                bring(motor, operation, stop)
+
+        return lambda motor, *how: (bring if motor.physical.ownership.lock is None else brought)(
+            motor, *how
+        )
+
+    with replaced(LogicalMotor, "bring_to_rest", wrong):
+        yield
+
+
+@mutant("leadshine", "SYNC-22")
+def a_member_that_was_taken_over_is_no_failure():
+    """The others of a group go on when another program has taken one member over."""
+
+    def wrong(fail):
+        def failed(motion, motor, error):
+            return error if isinstance(error, MotionInterrupted) else fail(motion, motor, error)
+
+        return failed
+
+    with replaced(CommonMotion, "failed", wrong), replaced(CommonMotion, "_fail", wrong):
+        yield
+
+
+@mutant("cia402", "SHARE-16")
+def a_stop_that_a_start_does_not_notice():
+    """A start goes on although another user has stopped the motor since it began."""
+    with replaced(execution, "_check_not_interrupted", lambda _: lambda motors, seen: None):
         yield

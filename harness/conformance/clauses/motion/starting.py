@@ -3,7 +3,7 @@
 import logging
 import re
 import warnings
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, Violated, clause, expect
@@ -40,6 +40,7 @@ from motorhil.motorapi import (
     StateError,
     TrapezoidalTrajectory,
     UnsupportedError,
+    UsageError,
 )
 from motorhil.motorapi.outcome import Ending, Outcome
 
@@ -398,6 +399,9 @@ def on_done_is_called_once(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.4 * long_move(bench)
     calls: list[tuple[int, Outcome]] = []
     follow(motor, TrapezoidalTrajectory(way))
+    untyped: Any = motor
+    expect_raises(UsageError, lambda: untyped.on_done(1), "on_done(1) was accepted")
+    expect_raises(UsageError, lambda: untyped.set_control_mode("position"), "a text as a mode")
     motor.on_done(lambda outcome: calls.append((bench.runtime.now_ns(), outcome)))
     expect(not calls, "the end was notified at the start")
     finish(bench, motor, shortest_s(motor, way))
