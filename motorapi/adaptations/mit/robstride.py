@@ -62,11 +62,12 @@ class RobstrideFrames(Frames):
     def answers(self) -> Iterable[int]:
         """Return the identifiers of feedback: each mode, each set of faults, to two hosts.
 
-        Commands do not name their host: a drive answers the factory's until a request names one.
+        The first one is that of a drive that runs without a fault. Commands do not name their host:
+        a drive answers the factory's until a request names one.
         """
         hosts = dict.fromkeys((self.master_id, _FACTORY_HOST))
         place = _FEEDBACK | self.node_id << 8
-        states = product(hosts, range(3), range(64))
+        states = product(hosts, (_RUN, 0, 1), range(64))
         return (place | mode << 22 | faults << 16 | host for host, mode, faults in states)
 
     def requests(self) -> Iterable[int]:
