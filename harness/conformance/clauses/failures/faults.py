@@ -648,3 +648,28 @@ def _expect_true_reference(bench: RigProtocol, trouble: str, suffer: Callable[[]
     motor.home(_HERE)
     expect(motor.is_referenced(), f"homed again after {trouble}: not referenced")
     expect_at(bench, motor, 0.0, f"homed again after {trouble}")
+
+
+@clause(
+    "FAULT-09",
+    Level.L5,
+    needs={Capability.FAULTS},
+    bench={Ability.FAULT, Ability.AFRESH},
+    source="DeviceFault: code and text; the maker's list of errors, [conformance] fault_texts",
+)
+def fault_has_text_of_its_maker(bench: RigProtocol) -> None:
+    """Each fault is reported with its code, and with what its maker calls it."""
+    if not bench.facts.fault_texts or bench.facts.fault_value is not None:
+        raise NotApplicable("the rig states no texts of faults ([conformance] fault_texts)")
+    for code, words in bench.facts.fault_texts.items():
+        bench.afresh()
+        motor = bench.motor
+        motor.enable()
+        bench.fail(motor, code)
+        rest_for(bench, bench.facts.time_tolerance_s)
+        fault = motor.fault()
+        expect(fault is not None and fault.code == code, f"fault {code:X}h is reported as {fault}")
+        expect(
+            fault is None or words.lower() in fault.text.lower(),
+            f"fault {code:X}h is reported as {fault}; its maker calls it {words}",
+        )
