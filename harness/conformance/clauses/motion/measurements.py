@@ -39,7 +39,7 @@ def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
     """Measured velocity is the velocity of the output, in sign and size, also at rest."""
     for share in (0.5, -0.25):
         asked = share * bench.motor.model.velocity_max
-        expect_true_velocity(bench, asked, _VELOCITY_SHARE)
+        expect_true_velocity(bench, asked)
         at_rest = bench.motor.velocity()
         unit = bench.motor.model.unit
         expect(
@@ -49,11 +49,8 @@ def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
         )
 
 
-def expect_true_velocity(bench: RigProtocol, asked: float, share: float) -> None:
-    """Move at this velocity [U/s]; check the measured one against the true one; settle.
-
-    Both may differ by this share of the velocity.
-    """
+def expect_true_velocity(bench: RigProtocol, asked: float) -> None:
+    """Move at this velocity [U/s]; check the measured one against the true one; settle."""
     motor, model = bench.motor, bench.motor.model
     ramps = model.acceleration_max, model.deceleration
     up_s, down_s = (ramp_s(abs(asked), one, jerk_of(motor)) for one in ramps)
@@ -71,7 +68,7 @@ def expect_true_velocity(bench: RigProtocol, asked: float, share: float) -> None
     true = (bench.true_position(motor) - before) / since_s
     mean = sum(measured) / len(measured)
     expect(
-        abs(mean - true) <= share * abs(asked),
+        abs(mean - true) <= _VELOCITY_SHARE * abs(asked),
         f"velocity: measured {mean:g} {model.unit}/s at {true:g} {model.unit}/s",
     )
     finish(bench, motor, duration_s)
