@@ -40,7 +40,7 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12, 14)),
         *("FAULT-07", "HOME-04"),
         *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "SYNC-06", "SYNC-11"),
-        *("LOST-07", "LOST-08", "LOW-06", "PAR-02", *_OF_CANOPEN),
+        *("LOST-07", "LOST-08", "LOW-06", "PAR-02", "HOME-05", *_OF_CANOPEN),
     }
 )
 _OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
@@ -66,7 +66,7 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
-            *("LOST-11", "PAR-02", *_OF_CAN, *_OF_CANOPEN),
+            *("LOST-11", "PAR-02", "HOME-05", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
     "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01"},

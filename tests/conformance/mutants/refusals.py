@@ -7,6 +7,7 @@ from unittest.mock import patch
 from motorhil.harness.conformance.clauses import traffic
 from motorhil.motorapi import Motor, model
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.mit import frames
 from motorhil.motorapi.adaptations.moteus.motor import MoteusHwMotor, MoteusTable
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
@@ -14,7 +15,7 @@ from motorhil.motorapi.adaptations.vesc import motor as vesc
 from motorhil.motorapi.api import polled_hardware, registration
 from motorhil.motorapi.api.can_drive import CanDrive
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.errors import MotorBusyError, UnsupportedError, UsageError
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.planning import functions, single_axis
@@ -355,4 +356,23 @@ def current_is_below_zero():
         return lambda self, current: limit_current(self, None if current is None else -current)
 
     with replaced(OrientalAzHwMotor, "limit_current", wrong):
+        yield
+
+
+@mutant("leadshine", "HOME-05")
+def list_of_methods_has_a_wrong_one():
+    """The refusal of a homing method lists one that the drive does not have."""
+
+    def wrong(home):
+        def homed(self, method, motor):
+            try:
+                home(self, method, motor)
+            except UnsupportedError as error:
+                known = error.supported.replace("35", "36")
+                feature = f"homing by method {method}"
+                raise UnsupportedError(motor=motor, feature=feature, supported=known) from None
+
+        return homed
+
+    with replaced(LeadshineHwMotor, "home", wrong):
         yield

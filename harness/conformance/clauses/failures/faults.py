@@ -1,5 +1,6 @@
 """L2 and L5: drive faults, lost answers, homing, and low-level access."""
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -62,6 +63,7 @@ _LENGTHS_S: Final = (0.3, 0.02)
 _ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
 _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
+_METHODS: Final = range(1, 38)  # CiA 402-2, 6098h
 _HERE = 37
 _SPOT_S: Final = 0.5
 _LATE_S: Final = (0.11, 0.21, 0.31)
@@ -589,6 +591,29 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
     expect_unmoved(bench, motor, before, f"homing method {_NO_METHOD} was refused")
     move(bench, motor, way)
     expect_at(bench, motor, origin + 2.0 * way, "moved after a homing was refused")
+
+
+@clause(
+    "HOME-05",
+    Level.L2,
+    needs={Capability.HOMING},
+    bench={Ability.SETTINGS},
+    source="UnsupportedError.supported: the alternatives; Motor.home",
+)
+def listed_homing_methods_are_known(bench: RigProtocol) -> None:
+    """The refusal of a homing method names the motor, and lists only methods that it knows."""
+    error = failure_of(partial(bench.motor.home, _NO_METHOD))
+    is_refusal = isinstance(error, UnsupportedError)
+    expect(is_refusal and bench.motor.name in f"{error}", f"method {_NO_METHOD}: {error}")
+    listed = error.supported if isinstance(error, UnsupportedError) else ""
+    numbers = [int(one) for one in re.findall(r"(?<![\w.])\d{1,2}(?![\w.])", listed)]
+    for method in (one for one in numbers if one in _METHODS):
+        bench.afresh()
+        error = failure_of(partial(bench.motor.home, method, wait=False))
+        expect(
+            not isinstance(error, UnsupportedError),
+            f"method {method} is listed ({listed}), but refused: {error}",
+        )
 
 
 @clause(
