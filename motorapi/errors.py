@@ -49,7 +49,7 @@ class LimitError(UsageError):
     """A value outside a limit of the motor, of its model, or of the command itself.
 
     Attributes: motor (name), quantity ("velocity"), value, low and high (None: no limit on that
-    side), unit ("rad/s").
+    side), unit ("rad/s"), reason (whose limit it is, or "").
     """
 
     def __init__(
@@ -69,6 +69,7 @@ class LimitError(UsageError):
         self.low = low
         self.high = high
         self.unit = unit
+        self.reason = reason
         for digits in (6, 9, 12, 17):  # as many as tell the value from its limit
             told, least, most = (
                 "" if one is None else f"{one:.{digits}g}" for one in (value, low, high)

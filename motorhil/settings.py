@@ -664,7 +664,10 @@ def check(settings: object) -> None:
         value = getattr(settings, name)
         if isinstance(key.kind, TableOf):
             continue  # checked when it was made
-        if name not in declared.defaults or value != declared.defaults[name]:
+        default = declared.defaults.get(name, MISSING)
+        if value != default or isinstance(value, bool) is not isinstance(
+            default, bool
+        ):  # 1 is True
             key.kind.read(value, (name,))
 
 

@@ -1,14 +1,16 @@
 """The protocol between clauses and benches, for emulated rigs and real benches."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple, Protocol, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, final
 
 from motorhil.harness.rig.config.conformance import Facts
+from motorhil.settings import Declaration
 
 if TYPE_CHECKING:  # the supervisor starts sooner without the motor interface
-    from motorhil.motorapi import Motor
+    from motorhil.motorapi import Motor, MotorModel
     from motorhil.motorapi.ownership.claim import LockAction
     from motorhil.motorapi.runtime.api import Runtime
 
@@ -41,6 +43,7 @@ class Ability(Enum):
     ONE_PROGRAM = "have all users of a motor in one program"
     SECOND_PROGRAM = "run a second program on the motor's bus"
     OWNERS = "hear which program announces that it owns a motor"
+    SETTINGS = "build the motor and its drive with other settings"
 
 
 @final
@@ -59,6 +62,20 @@ class Announced(NamedTuple):
     owner: str
     purpose: str
     sender: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """The settings of a motor or of its drive, as the bench states them.
+
+    Attributes:
+        declaration: the keys that there are.
+        values: the stated ones, by key.
+    """
+
+    declaration: Declaration
+    values: Mapping[str, object]
 
 
 class RigProtocol(Protocol):
@@ -115,8 +132,11 @@ class RigProtocol(Protocol):
         positions.
         """
 
-    def fail(self, motor: "Motor") -> int:
-        """Cause a short fault in the motor's drive; return its error code (Ability.FAULT)."""
+    def fail(self, motor: "Motor", code: int | None = None) -> int:
+        """Cause a short fault in the motor's drive; return its error code (Ability.FAULT).
+
+        The code is this one, of those in `facts.fault_texts`, or the usual one of the bench.
+        """
 
     def cut(self, motor: "Motor") -> AbstractContextManager[Lost]:
         """Cut the motor's drive off the bus within the block; it keeps its power (Ability.CUT)."""
@@ -181,6 +201,31 @@ class RigProtocol(Protocol):
 
     def commands_to(self, motor: "Motor") -> AbstractContextManager[Sequence[str]]:
         """Record host commands that may move or change the motor's drive (Ability.TRAFFIC)."""
+
+    def stated(self, of_drive: bool = False) -> Stated | None:
+        """Return the settings of the motor, or of its drive (Ability.SETTINGS).
+
+        None: their keys are not declared (`motorhil.adaptation_settings`).
+        """
+
+    @property
+    def link(self) -> Any:
+        """The bus or line of the motor under test, or None (Ability.SETTINGS)."""
+
+    def build(self, settings: Mapping[str, object], model: "MotorModel | None" = None) -> "Motor":
+        """Return a further motor in the place of the motor under test (Ability.SETTINGS).
+
+        It has these settings, and this model or that of the motor under test. Who asks closes it.
+        Raises whatever the adaptation raises.
+        """
+
+    def altered(
+        self, motor: Mapping[str, object], drive: Mapping[str, object]
+    ) -> AbstractContextManager[None]:
+        """Switch everything off, and on with these settings for the block (Ability.SETTINGS).
+
+        The motor under test and its drive have them beside their own. `motors` are new.
+        """
 
     def afresh(self) -> None:
         """Switch everything off and on again (Ability.AFRESH); `motors` are new and unused."""

@@ -13,6 +13,7 @@ from motorhil.harness.conformance.clause import Clause, Level, registered
 _MODULES: Final = (
     "identity",
     "messages",
+    "settings",
     "motion.measurements",
     "motion.setpoints",
     "motion.trajectories",

@@ -16,13 +16,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from math import floor, pi
+from math import copysign, floor, pi
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, TypeVar, final
 
 from motorhil.motorapi.api.line_exchanges import Exchange
 from motorhil.motorapi.api.line_unit import LineUnit
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import UsageError, require_within
+from motorhil.motorapi.errors import LimitError, UsageError, require_within
 from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.state import Fault, MotorState
 
@@ -394,6 +394,32 @@ class PolledHardware(ABC, Generic[UnitT]):
         self._recounts = False
         self._prepare(self._numbers(motion, model), model)
         self._stop = None
+
+    @final
+    def in_units(self, error: LimitError, motor: str, model: "MotorModel") -> LimitError:
+        """Return an error about a number of the drive in the units of the model, with its motor."""
+        speed, ramp = self._rates(model)
+        known = {
+            "position": (self._per_unit(model), model.unit),
+            "velocity": (speed, f"{model.unit}/s"),
+            "acceleration": (ramp, f"{model.unit}/s²"),
+        }
+        if error.quantity not in known:
+            return error
+        scale, unit = known[error.quantity]
+        if error.low is not None and error.quantity == "velocity":
+            scale = copysign(scale, self._per_unit(model))
+        ends = [None if one is None else one / scale for one in (error.low, error.high)]
+        low, high = ends if scale > 0.0 else reversed(ends)
+        return LimitError(
+            motor=motor,
+            quantity=error.quantity,
+            value=error.value / scale,
+            low=low,
+            high=high,
+            unit=unit,
+            reason=error.reason,
+        )
 
     @abstractmethod
     def _prepare(self, numbers: Numbers, model: "MotorModel") -> None:

@@ -12,6 +12,7 @@ from motorhil.motorapi.api.polled_hardware import Poll, PolledHardware, Wanted
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
+    LimitError,
     LinkError,
     MotionInterrupted,
 )
@@ -203,7 +204,10 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         self._apply_parameters()
-        self.hardware.prepare(motion, self.model)
+        try:
+            self.hardware.prepare(motion, self.model)
+        except LimitError as error:
+            raise self.hardware.in_units(error, self.name, self.model) from None
         state = self.hardware.progress
         moves = motion.variable is ControlVariable.POSITION
         state.armed = Wanted.ARRIVAL if moves else Wanted.VELOCITY

@@ -15,7 +15,7 @@ from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
-_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "PROC-13")
+_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "TIME-05", "PROC-13")
 _OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01", "SYNC-20")
 _POLLED = frozenset(
     {
@@ -30,7 +30,7 @@ _STREAMED = frozenset(  # functions of time for positions; no common trigger, no
     {
         *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12", "TRAJ-14"),
         *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "LOW-04"),
-        *("HEAR-05", "SHARE-02", "PROC-14", "LOST-08", "LOW-06"),
+        *("HEAR-05", "SHARE-02", "PROC-14", "LOST-08", "LOW-06", "PAR-02"),
         *_OF_CANOPEN,
     }
 )
@@ -40,7 +40,7 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12, 14)),
         *("FAULT-07", "HOME-04"),
         *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "PROC-14", "SYNC-06", "SYNC-11"),
-        *("LOST-07", "LOST-08", "LOW-06", *_OF_CANOPEN),
+        *("LOST-07", "LOST-08", "LOW-06", "PAR-02", "HOME-05", *_OF_CANOPEN),
     }
 )
 _OF_PROGRAMS = ("PROC-08", "PROC-09", "PROC-10", "PROC-11", "PROC-12", "SYNC-21", "SYNC-22")
@@ -57,9 +57,10 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
             *_OF_PROGRAMS,
+            *("OPT-04", "FIT-01", "PAR-02", "FAULT-09"),
         }
     ),
-    "dryve": _POLLED | {"MEAS-03"},
+    "dryve": _POLLED | {"MEAS-03", "PAR-02"},
     "dynamixel": frozenset(  # in position mode
         {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
@@ -67,10 +68,10 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
-            *("LOST-11", *_OF_CAN, *_OF_CANOPEN),
+            *("LOST-11", "PAR-02", "HOME-05", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
-    "leadshine": _POLLED - _OF_RESTARTS,
+    "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01"},
     "mit": _STREAMED | {"FAULT-07"},
     "moteus": frozenset(
         {
@@ -80,15 +81,18 @@ NOT_APPLICABLE = {
             *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "LOW-04", "SHARE-02", "PROC-14"),
             *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
+            *("HEAR-05", "LOW-04", "SHARE-02"),
+            *("SYNC-06", "SYNC-11", "LOW-06", "PAR-02", *_OF_CANOPEN),
         }
     ),
-    "oriental_az": _POLLED - _OF_RESTARTS,
-    "rmd": _SAMPLED - {"LOW-03", "LOST-07"},
-    "robstride": _STREAMED,
+    "oriental_az": _POLLED - _OF_RESTARTS | {"FIT-01"},
+    "rmd": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-01", "OPT-04"},
+    "robstride": _STREAMED | {"FIT-01"},
     "software": frozenset(
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
             *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22"),  # its motors share a node
+            *("SET-05", "SYNC-05", "PAR-02", "FAULT-09"),
         }
     ),
     "vesc": _SAMPLED - {"LOW-03", "LOST-07"},

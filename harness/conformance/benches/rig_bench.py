@@ -5,30 +5,41 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.can.frame import BRS, EFF_FLAG, can_id_of, data_of, pack, pack_fd
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
 from motorhil.emulators.simulation.ownership_notice import OwnershipNotice
-from motorhil.harness.conformance.bench import Ability, Announced, Lost
+from motorhil.harness.conformance.bench import Ability, Announced, Lost, Stated
 from motorhil.harness.conformance.benches.programs import Programs
 from motorhil.harness.conformance.clause import NotApplicable
-from motorhil.harness.plugins import DECODERS, installed
+from motorhil.harness.plugins import (
+    ADAPTATIONS,
+    CONTROLLERS,
+    DECODERS,
+    SETTINGS,
+    installed,
+    named,
+)
 from motorhil.harness.python_can.bus import EmulatedBus
-from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
+from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription, address_key
 from motorhil.harness.rig.config.conformance import Facts
+from motorhil.harness.rig.config.derived import with_timing
 from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.units import units_per_plant_rad
-from motorhil.harness.rig.rig import Rig
+from motorhil.harness.rig.rig import Rig, read_models
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
-from motorhil.motorapi import Motor, MotorError, UsageError
+from motorhil.motorapi import Motor, MotorError, MotorModel, UsageError
 from motorhil.motorapi.ownership.claim import LockAction
+from motorhil.settings import declaration
 
 if TYPE_CHECKING:  # a first verdict needs no decoder
     from motorhil.harness.conformance.verdicts.observation import Observation
+    from motorhil.harness.python_can.bus import EmulatedBus
+    from motorhil.harness.python_can.line import EmulatedLine
     from motorhil.traces.decoding.narrative import BusMessage
 
 SECOND_USER: Final = "another"
@@ -63,6 +74,7 @@ _SWITCHED: Final = (
     *("leadshine_pr", "oriental_az"),
 )
 """Kinds of controllers whose stimulus `power` switches all of them off and on."""
+_ADDRESSES: Final = ("node_id", "unit")
 _POWER_S: Final = 0.05
 """Time without power of a restarted drive [s]."""
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
@@ -249,7 +261,7 @@ class RigBench:
     @cached_property
     def abilities(self) -> Sequence[Ability]:
         """The abilities of an emulated rig for these motors."""
-        able = {Ability.AFRESH, Ability.SEVERAL_USERS}
+        able = {Ability.AFRESH, Ability.SEVERAL_USERS, Ability.SETTINGS}
         if self._programs is None:
             able.add(Ability.ONE_PROGRAM)
         if not self._readers:
@@ -297,6 +309,78 @@ class RigBench:
         self._is_used = True
         return self._motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
+    def stated(self, of_drive: bool = False) -> Stated | None:
+        """Return the settings of the motor, or of its drive; None: they are not declared."""
+        motor = self._description.motors[self.facts.motors[0]]
+        if not of_drive:
+            table = installed(SETTINGS[ADAPTATIONS]).get(motor.adaptation)
+            values = self._settings()
+        elif motor.controller is None:
+            return None
+        else:
+            described = self._description.controllers[motor.controller]
+            table = installed(SETTINGS[CONTROLLERS]).get(described.kind)
+            values = dict(described.settings)
+        if table is None:
+            return None
+        of: Any = table.load()  # a class of settings, or a declaration
+        return Stated(declaration(of), values)
+
+    @property
+    def link(self) -> "EmulatedBus | EmulatedLine | None":
+        """The bus or line of the motor under test, or None."""
+        bus = self._description.motors[self.facts.motors[0]].bus
+        if bus is None:
+            return None
+        return self.rig.line(bus) if self._description.buses[bus].is_line else self.rig.bus(bus)
+
+    def build(self, settings: Mapping[str, object], model: MotorModel | None = None) -> Motor:
+        """Return a further motor in the place of the motor under test, with these settings."""
+        self._is_used = True
+        name = self.facts.motors[0]
+        known = read_models(self._description)[name] if model is None else model
+        build = named(ADAPTATIONS, self._description.motors[name].adaptation).load()
+        built: Motor = build(self.link, settings, known, self.runtime)
+        return built
+
+    def _settings(self) -> dict[str, object]:
+        """Return the settings with which the motor under test is built."""
+        motor = self._description.motors[self.facts.motors[0]]
+        core = None if motor.controller is None else self.rig.controllers[motor.controller].core
+        own, _ = with_timing(self._description, motor, core)
+        settings = {"name": motor.name, **own}
+        if motor.bus is not None and motor.node_id is not None:
+            settings[address_key(self._description.buses[motor.bus])] = motor.node_id
+        return settings
+
+    @contextmanager
+    def altered(self, motor: Mapping[str, object], drive: Mapping[str, object]) -> Iterator[None]:
+        """Switch everything off, and on with these settings for the block."""
+        before, name = self._description, self.facts.motors[0]
+        motors, controllers = dict(before.motors), dict(before.controllers)
+        address = motors[name].node_id
+        for key in _ADDRESSES:
+            told = drive.get(key)
+            address = told if isinstance(told, int) else address
+        for one in (name, f"{name}-{SECOND_USER}"):
+            own = {**motors[one].settings, **motor}
+            own = {key: own[key] for key in own if key not in _ADDRESSES}
+            motors[one] = replace(motors[one], node_id=address, settings=own)
+        place = motors[name].controller
+        if place is not None:
+            settings = {**controllers[place].settings, **drive}
+            controllers[place] = replace(controllers[place], node_id=address, settings=settings)
+        self._reopen(replace(before, motors=motors, controllers=controllers))
+        try:
+            yield
+        finally:
+            self._reopen(before)
+
+    def _reopen(self, description: RigDescription) -> None:
+        self.rig.close()
+        self._description = description
+        self._switch_on()
+
     # --- observations and actions ---------------------------------------------------------
 
     def true_position(self, motor: Motor) -> float:
@@ -310,13 +394,14 @@ class RigBench:
         """Apply this load torque [N·m], or force [N], from now on."""
         self._stimulate(motor, "load_torque_n_m", torque_n_m * self._units_per_rad(motor))
 
-    def fail(self, motor: Motor) -> int:
+    def fail(self, motor: Motor, code: int | None = None) -> int:
         """Cause a short fault in the motor's drive; return its error code."""
         facts = self.facts
+        wanted = facts.fault_code if code is None else code
         if self._description.motors[physical_name(motor)].adaptation == "ideal":
-            motor.hardware.inject_fault(facts.fault_code)  # type: ignore[attr-defined]
-            return facts.fault_code
-        value = facts.fault_code if facts.fault_value is None else facts.fault_value
+            motor.hardware.inject_fault(wanted)  # type: ignore[attr-defined]
+            return wanted
+        value = wanted if facts.fault_value is None else facts.fault_value
         self._stimulate(motor, facts.fault_stimulus, value)
         over = facts.fault_over_value
         if over is not None:
@@ -324,7 +409,7 @@ class RigBench:
                 lambda now_ns: self._stimulate(motor, facts.fault_stimulus, over)
             )
             ending.set(self.runtime.now_ns() + _FAULT_NS)
-        return facts.fault_code
+        return wanted
 
     @contextmanager
     def cut(self, motor: Motor) -> Iterator[Lost]:

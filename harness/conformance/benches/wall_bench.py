@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Never, Self, final
 
-from motorhil.harness.conformance.bench import Ability, Announced, Lost
+from motorhil.harness.conformance.bench import Ability, Announced, Lost, Stated
 from motorhil.harness.conformance.benches.rig_bench import SECOND_USER, physical_name
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.recording.sources import Kind, PlaceError, open_bus, parse_place
@@ -23,7 +23,7 @@ from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Named, RigPlugins, read_models
-from motorhil.motorapi import ControlMode, LinkError, Motor, MotorError
+from motorhil.motorapi import ControlMode, LinkError, Motor, MotorError, MotorModel
 from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
 from motorhil.motorapi.runtime.wall import WallRuntime, close_process_runtime, process_runtime
 from motorhil.traces.mcap.writer import TraceWriter
@@ -169,7 +169,7 @@ class WallBench:
         """Raise NotApplicable."""
         _refuse(Ability.LOAD)
 
-    def fail(self, motor: Motor) -> int:
+    def fail(self, motor: Motor, code: int | None = None) -> int:
         """Raise NotApplicable."""
         _refuse(Ability.FAULT)
 
@@ -244,6 +244,25 @@ class WallBench:
     def owners_of(self, motor: Motor) -> AbstractContextManager[Sequence[Announced]]:
         """Raise NotApplicable."""
         _refuse(Ability.OWNERS)
+
+    def stated(self, of_drive: bool = False) -> Stated | None:
+        """Raise NotApplicable."""
+        _refuse(Ability.SETTINGS)
+
+    @property
+    def link(self) -> Never:
+        """Raise NotApplicable."""
+        _refuse(Ability.SETTINGS)
+
+    def build(self, settings: Mapping[str, object], model: MotorModel | None = None) -> Motor:
+        """Raise NotApplicable: a mistake of it may send on a bus with power."""
+        _refuse(Ability.SETTINGS)
+
+    def altered(
+        self, motor: Mapping[str, object], drive: Mapping[str, object]
+    ) -> AbstractContextManager[None]:
+        """Raise NotApplicable."""
+        _refuse(Ability.SETTINGS)
 
     # --- helpers --------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ Both differ between adaptations, so that a clause is applicable if it finds what
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from functools import partial
 from math import inf
 from typing import Any, Final
@@ -17,6 +18,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     follow,
     long_move,
     move,
+    move_exactly,
     rest_for,
     shortest_s,
 )
@@ -32,6 +34,7 @@ _FAULT_BITS, _FAULT = 0x4F, 0x08
 _PP, _PV = 1, 3
 _OFF: Final = 0xFFFF_FFFF
 _LOOK_S: Final = 0.2
+_VALUES: Final = (0.5, 5.0)
 _PERIOD_MS: Final = 95
 
 
@@ -114,6 +117,38 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
     found = _read_in_motion(bench, bench.another_user_of(motor), hardware, -way)
     expect(found == before, f"a start of another logical motor: {found}; expected {before}")
     _expect_refusals(motor, kind, set_parameters)
+
+
+@clause(
+    "PAR-02",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    source="paper, 3.2, motor parameters: written for the next start of their motor",
+)
+def motor_moves_with_each_parameter(bench: RigProtocol) -> None:
+    """With each of its parameters, at a value that it accepts, a motor moves, or refuses to."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    own, set_parameters = _parameters_of(motor)
+    if not is_dataclass(own):
+        raise NotApplicable("the motor's parameters have no names")
+    kind: Callable[..., Any] = type(own)
+    found = False
+    for name in (one.name for one in fields(own)):
+        for value in _VALUES:
+            try:
+                stated = kind(**{name: value})
+            except (UsageError, TypeError):
+                continue
+            found = True
+            set_parameters(stated)
+            given = motor.parameters  # type: ignore[attr-defined]  # of this adaptation
+            expect(given == stated, f"{given} after {name} = {value:g} was set")
+            way = -way
+            with suppress(UsageError):
+                move_exactly(bench, motor, way, f"with {name} = {value:g}")
+    set_parameters(own)
+    expect(found, f"no parameter accepts one of {', '.join(map(str, _VALUES))}")
+    move_exactly(bench, motor, -way, "with its former parameters")
 
 
 def _expect_refusals(motor: Motor, kind: Any, set_parameters: Callable[[Any], None]) -> None:

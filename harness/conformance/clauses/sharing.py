@@ -394,10 +394,10 @@ def _expect_last_readings(other: Motor) -> None:
         expect(_refusal_of(other.position) is not None, "position() asked the drive")
     else:
         expect(other.position() == latest.position, f"position() is not that of {latest}")
-    for read in (other.velocity, other.torque, other.following_error):
-        error = failure_of(read)
+    for measure in (other.velocity, other.torque, other.following_error):
+        error = failure_of(measure)
         is_right = error is None or isinstance(error, MotorBusyError)
-        expect(is_right, f"{read.__name__}() in low-level access of another user: {error!r}")
+        expect(is_right, f"{measure.__name__}() in low-level access of another user: {error!r}")
     refused = _refusal_of(other.is_referenced)
     expect(refused is not None, "is_referenced() asked the drive in low-level access of another")
 

@@ -12,15 +12,18 @@ from math import ceil
 from random import Random
 from typing import Any, Final, final
 
-from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK, data_of
+from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
-from motorhil.harness.conformance.clauses.helpers import expect_raises
+from motorhil.harness.conformance.clauses.helpers import elapsed_s, expect_raises, long_move, move
+from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import UsageError
 from motorhil.motorapi.synchronization.bus_load import (
     FD_LENGTHS,
     CanTraffic,
     NodeTraffic,
     PeriodicMessage,
+    own_traffic,
     rank_of,
     worst_of,
 )
@@ -59,6 +62,8 @@ _FD_NOMINAL: Final = (17, 36)  # up to BRS
 _FD_STUFF: Final = (3, 8)  # stuff bits that can come before BRS
 _ROUNDING_S: Final = 1e-12
 _NEAR_S: Final = 2e-9
+_OFTEN: Final = 2.0  # as often as declared: also when something else asks for a frame
+_MORE: Final = 3
 
 
 @final
@@ -539,3 +544,44 @@ def _expect_straddling() -> None:
             told_s is not None and abs(told_s - wanted_s) < _NEAR_S,
             f"frames between signals every {period_s} s: {told_s} s; expected {wanted_s} s",
         )
+
+
+@clause(
+    "TIME-05",
+    Level.L4,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SETTINGS, Ability.ONE_KIND},
+    source="requirement 5; NodeTraffic, CanDrive.note_frames: the traffic of a motor on its bus",
+)
+def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
+    """The periodic frames of a motor are on its bus as declared: no longer, and no more often."""
+    from can import CanProtocol
+
+    motor, link = bench.motor, bench.link
+    motor.enable()
+    seen: dict[tuple[int, bool], tuple[int, int]] = {}  # count and longest data
+
+    def on_frame(frame: bytes, time_ns: int, is_own: bool) -> None:
+        word = int.from_bytes(frame[:4], "little")
+        rank = rank_of(word & EFF_MASK, extended=bool(word & EFF_FLAG))
+        count, longest = seen.get((rank, is_own), (0, 0))
+        seen[rank, is_own] = count + 1, max(longest, len(data_of(frame)))
+
+    fd = bool(getattr(link, "protocol", CanProtocol.CAN_20) is not CanProtocol.CAN_20)
+    listening = bench.runtime.listen(link, on_frame, fd=fd)
+    begun_ns = bench.runtime.now_ns()
+    move(bench, motor, long_move(bench))
+    listening.cancel()
+    lasted_s = elapsed_s(bench, begun_ns)
+    for node in own_traffic(link):
+        for messages, is_own in ((node.sent, False), (node.ours, True)):
+            whose = "the host's" if is_own else "the drive's"
+            found = [one for one in messages if (one.rank, is_own) in seen]
+            names = ", ".join(one.name for one in messages)
+            expect(bool(found) or not messages, f"none of {whose} declared frames came: {names}")
+            for one in found:
+                count, longest = seen[one.rank, is_own]
+                most = _OFTEN * (lasted_s + one.jitter_s) / one.period_s + _MORE
+                text = f"{one.name}, {whose}, declared every {one.period_s:g} s"
+                expect(count <= most, f"{text}: {count} times in {lasted_s:g} s")
+                expect(longest <= one.length, f"{text} with {one.length} bytes: {longest} bytes")

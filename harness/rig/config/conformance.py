@@ -14,8 +14,11 @@ from motorhil.settings import (
     Declaration,
     Items,
     Key,
+    KeyPath,
     Number,
+    Schema,
     SettingError,
+    TablesByKey,
     Text,
     flag,
     number,
@@ -62,6 +65,24 @@ class Capability(Enum):
 _BY_KEY: Final = {capability.key: capability for capability in Capability}
 _LENGTH_MAX: Final = 1e6
 _TIME_MAX_S: Final = 3600.0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _AsTheDrive:
+    """A value of a setting of a drive, which its own table checks."""
+
+    def read(self, value: object, path: KeyPath) -> object:
+        """Return the value."""
+        return value
+
+    def schema(self) -> Schema:
+        """Return its JSON Schema: any value."""
+        return {}
+
+    def example(self) -> str:
+        """Return nothing: it depends on the setting."""
+        return ""
 
 
 def _length(name: str, doc: str) -> Any:
@@ -114,11 +135,26 @@ class ConformanceTable:
     fault_code: int = whole(0x2310, 1, 0xFFFF_FFFF, "", "Error code of that fault.")
     fault_value: float | None = _stimulus("Value of the stimulus; absent: the code.")
     fault_over_value: float | None = _stimulus("Its value a moment later; absent: not needed.")
+    fault_texts: Mapping[str, str] = setting(
+        {},
+        TablesByKey(
+            Text(shown='"current"'),
+            r"[0-9A-Fa-f]{1,8}h",
+            "is not an error code",
+            'write it in hex, as "2310h"',
+        ),
+        "Words in the text of a fault, by error code, which the stimulus causes.",
+    )
     seeking_method: int | None = whole(
         None, -128, 127, "", "Homing method that runs until it is ended; absent: none is known."
     )
     home_offset_is_opposite: bool = flag(
         False, "At home the drive's position is +607Ch (as with KEB's F6), not -607Ch."
+    )
+    unfit: tuple[Mapping[str, object], ...] = setting(
+        (),
+        Items(TablesByKey(_AsTheDrive()), shown="[{ firmware_major = 5 }]"),
+        "Settings of the emulated drive, each with which the adaptation must refuse it.",
     )
     claims: tuple[str, ...] = setting(
         (),
@@ -170,8 +206,10 @@ class Facts:
         fault_code: the error code that the drive then reports.
         fault_value: the value of the stimulus; None: the code.
         fault_over_value: its value a moment later; None: not needed, the cause is gone by then.
+        fault_texts: words in the text of a fault, by error code, that the same stimulus causes.
         seeking_method: a homing method that runs until it is ended; None: none is known.
         home_offset_is_opposite: True if home is at +607Ch, against CiA 402-2.
+        unfit: settings of the emulated drive, each with which the adaptation must refuse it.
         claims: the capabilities claimed by the rig.
         claimed_at: where the rig claims them, "file:line".
         without: the capabilities that are not claimed, and why.
@@ -193,8 +231,10 @@ class Facts:
     fault_code: int = 0x2310
     fault_value: float | None = None
     fault_over_value: float | None = None
+    fault_texts: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
     seeking_method: int | None = None
     home_offset_is_opposite: bool = False
+    unfit: tuple[Mapping[str, object], ...] = ()
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -239,8 +279,12 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         fault_code=own.fault_code,
         fault_value=own.fault_value,
         fault_over_value=own.fault_over_value,
+        fault_texts=MappingProxyType(
+            {int(code[:-1], 16): text for code, text in own.fault_texts.items()}
+        ),
         seeking_method=own.seeking_method,
         home_offset_is_opposite=own.home_offset_is_opposite,
+        unfit=own.unfit,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=MappingProxyType({_BY_KEY[name]: why for name, why in own.without.items()}),

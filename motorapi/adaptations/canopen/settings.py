@@ -11,7 +11,7 @@ _TIMEOUT_MAX_S = 3600
 
 def period_ms(default_ms: int, doc: str, low: int = 0, high: int = 65535) -> Any:
     """Declare a period that an object of CiA 301 or CiA 402 holds in milliseconds."""
-    return whole(default_ms, low, high, "ms", doc, plausible=(1, 60_000))
+    return whole(default_ms, low, high, "ms", doc, plausible=(1, min(high, 60_000)))
 
 
 def timeout_s(default_s: float, doc: str) -> Any:

@@ -354,7 +354,9 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         target, (low, high) = self._target(counts, "counts"), self._range
         if low < high:
             reason = "607Bh, the available stroke: the drive would not move"
-            require_within(self.label, "position", target, (low, high), "counts", reason)
+            wraps = counts - target
+            limits = low + wraps, high + wraps
+            require_within(self.label, "position", counts, limits, "counts", reason)
         return target
 
     def forget(self) -> None:

@@ -349,10 +349,10 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         if counts is None:
             self.prepared = _GOAL_VELOCITY, _bytes(speed, ramp)
             return
-        goal, limits = counts + CENTRE, (-_EXTENDED_MAX, _EXTENDED_MAX)
+        limits = -_EXTENDED_MAX - CENTRE, _EXTENDED_MAX - CENTRE
         reason = "the range of the servo's goal"
-        require_within(self.label, "position", goal, limits, "counts", reason)
-        self.prepared = _RAMP_AT, _bytes(ramp, speed, goal)
+        require_within(self.label, "position", counts, limits, "counts", reason)
+        self.prepared = _RAMP_AT, _bytes(ramp, speed, counts + CENTRE)
 
     def trigger(self) -> None:
         """Send the prepared motion, which starts it."""

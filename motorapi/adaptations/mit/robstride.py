@@ -71,10 +71,14 @@ class RobstrideFrames(Frames):
         return self._id(_TYPES[special], self.master_id), bytes((first, 0, 0, 0, 0, 0, 0, 0))
 
     def answers(self) -> Iterable[int]:
-        """Return the identifiers of feedback: each mode, each set of faults, to known hosts."""
-        known = product(self._hosts, range(3), range(64))
+        """Return the identifiers of feedback: each mode, each set of faults, to known hosts.
+
+        The first one is that of a drive that runs without a fault.
+        """
+        modes = (_RUN, 0, 1)
+        known = product(self._hosts, modes, range(64))
         unknown = (host for host in range(256) if host not in self._hosts)
-        others = product(unknown, range(3), (0,))
+        others = product(unknown, modes, (0,))
         place = _FEEDBACK | self.node_id << 8
         states = (*known, *others)
         return (place | mode << 22 | faults << 16 | host for host, mode, faults in states)

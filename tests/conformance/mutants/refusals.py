@@ -7,8 +7,15 @@ from unittest.mock import patch
 from motorhil.harness.conformance.clauses import traffic
 from motorhil.motorapi import Motor, model
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
+from motorhil.motorapi.adaptations.mit import frames
+from motorhil.motorapi.adaptations.moteus.motor import MoteusHwMotor, MoteusTable
+from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
+from motorhil.motorapi.adaptations.vesc import motor as vesc
+from motorhil.motorapi.api import polled_hardware, registration
+from motorhil.motorapi.api.can_drive import CanDrive
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorhil.motorapi.errors import MotorBusyError, UsageError
+from motorhil.motorapi.errors import MotorBusyError, UnsupportedError, UsageError
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.planning import functions, single_axis
@@ -16,6 +23,7 @@ from motorhil.motorapi.planning import single_axis as planning
 from motorhil.motorapi.synchronization import skew
 from motorhil.motorapi.synchronization.bus_load import CanTraffic
 from motorhil.motorapi.trajectory import TrapezoidalTrajectory
+from motorhil.settings import declaration
 from tests.conformance.mutants import mutant, replaced
 
 
@@ -255,4 +263,116 @@ def a_set_point_with_the_slopes_of_the_model():
         return lambda model, limits, target: bounds(model, None, target)
 
     with replaced(single_axis, "_velocity_bounds", wrong):
+        yield
+
+
+@mutant("moteus", "OPT-01")
+def unknown_settings_are_ignored():
+    """Keys that the adaptation does not know are left out without a word."""
+
+    def wrong(read_settings):
+        def lenient(of, table, unit=""):
+            known = declaration(of).names(unit)
+            return read_settings(of, {key: table[key] for key in table if key in known}, unit)
+
+        return lenient
+
+    with replaced(registration, "read_settings", wrong):
+        yield
+
+
+@mutant("moteus", "OPT-02")
+def usual_values_are_mixed_up():
+    """The usual values of an option are given with the larger one first."""
+    keys = declaration(MoteusTable).keys
+    kind = replace(keys["poll_ms"].kind, plausible=(50.0, 1.0))
+    with patch.dict(keys, {"poll_ms": replace(keys["poll_ms"], kind=kind)}):
+        yield
+
+
+@mutant("rmd", "OPT-03")
+def second_settings_are_ignored():
+    """A further motor on a drive gets the hardware object as it is, whatever its settings are."""
+
+    def wrong(get):
+        return lambda self, home, place, make, _: get(self, home, place, make, lambda _: True)
+
+    with replaced(registration.Shared, "get", wrong):
+        yield
+
+
+@mutant("mit", "OPT-04")
+def range_of_one_model_is_another_ones():
+    """One of the models of the drive has the velocities of another one."""
+    maker, ranges = frames.MODELS["ak80_9_v2"]
+    with patch.dict(frames.MODELS, {"ak80_9_v2": (maker, ranges._replace(v=22.5))}):
+        yield
+
+
+@mutant("moteus", "FIT-01")
+def any_register_map_will_do():
+    """The adaptation controls a drive without a look at the version of its registers."""
+    with replaced(MoteusHwMotor, "_connected", lambda _: lambda self: None):
+        yield
+
+
+@mutant("mit", "TIME-05")
+def commands_are_declared_too_rare():
+    """The host declares a tenth of the commands that it sends."""
+
+    def wrong(note_frames):
+        def noted(self, sent, ours=()):
+            note_frames(self, sent, [(one, length, 10.0 * period) for one, length, period in ours])
+
+        return noted
+
+    with replaced(CanDrive, "note_frames", wrong):
+        yield
+
+
+@mutant("leadshine", "MODEL-03")
+def gear_is_one_if_unknown():
+    """A model without a gear ratio counts as one of a motor without a gear."""
+
+    def wrong(gear):
+        return lambda model: 1.0 if model.gear_ratio is None else gear(model)
+
+    with replaced(polled_hardware, "gear", wrong):
+        yield
+
+
+@mutant("vesc", "FAULT-09")
+def fault_of_the_motor_is_one_of_the_transistors():
+    """One code of the maker's list has the text of its neighbour."""
+    with patch.dict(vesc.FAULTS, {6: vesc.FAULTS[5]}):
+        yield
+
+
+@mutant("oriental_az", "PAR-02")
+def current_is_below_zero():
+    """A stated current is written with the wrong sign, which the drive refuses."""
+
+    def wrong(limit_current):
+        return lambda self, current: limit_current(self, None if current is None else -current)
+
+    with replaced(OrientalAzHwMotor, "limit_current", wrong):
+        yield
+
+
+@mutant("leadshine", "HOME-05")
+def list_of_methods_has_a_wrong_one():
+    """The refusal of a homing method lists one that the drive does not have."""
+
+    def wrong(home):
+        def homed(self, method, motor):
+            try:
+                home(self, method, motor)
+            except UnsupportedError as error:
+                known = error.supported.replace("35", "36")
+                feature = f"homing by method {method}"
+                raise UnsupportedError(motor=motor, feature=feature, supported=known) from None
+
+        return homed
+
+    with replaced(LeadshineHwMotor, "home", wrong):
         yield

@@ -1,5 +1,6 @@
 """L2 and L5: drive faults, lost answers, homing, and low-level access."""
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -62,6 +63,7 @@ _LENGTHS_S: Final = (0.3, 0.02)
 _ONCE: Final = 1.5  # of the distance: the motor may coast after the failure
 _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
+_METHODS: Final = range(1, 38)  # CiA 402-2, 6098h
 _HERE = 37
 _SPOT_S: Final = 0.5
 _LATE_S: Final = (0.11, 0.21, 0.31)
@@ -592,6 +594,29 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
 
 
 @clause(
+    "HOME-05",
+    Level.L2,
+    needs={Capability.HOMING},
+    bench={Ability.SETTINGS},
+    source="UnsupportedError.supported: the alternatives; Motor.home",
+)
+def listed_homing_methods_are_known(bench: RigProtocol) -> None:
+    """The refusal of a homing method names the motor, and lists only methods that it knows."""
+    error = failure_of(partial(bench.motor.home, _NO_METHOD))
+    is_refusal = isinstance(error, UnsupportedError)
+    expect(is_refusal and bench.motor.name in f"{error}", f"method {_NO_METHOD}: {error}")
+    listed = error.supported if isinstance(error, UnsupportedError) else ""
+    numbers = [int(one) for one in re.findall(r"(?<![\w.])\d{1,2}(?![\w.])", listed)]
+    for method in (one for one in numbers if one in _METHODS):
+        bench.afresh()
+        error = failure_of(partial(bench.motor.home, method, wait=False))
+        expect(
+            not isinstance(error, UnsupportedError),
+            f"method {method} is listed ({listed}), but refused: {error}",
+        )
+
+
+@clause(
     "HOME-03",
     Level.L5,
     needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
@@ -648,3 +673,30 @@ def _expect_true_reference(bench: RigProtocol, trouble: str, suffer: Callable[[]
     motor.home(_HERE)
     expect(motor.is_referenced(), f"homed again after {trouble}: not referenced")
     expect_at(bench, motor, 0.0, f"homed again after {trouble}")
+
+
+@clause(
+    "FAULT-09",
+    Level.L5,
+    needs={Capability.FAULTS},
+    bench={Ability.FAULT, Ability.AFRESH},
+    source="DeviceFault: code and text; the maker's list of errors, [conformance] fault_texts",
+)
+def fault_has_text_of_its_maker(bench: RigProtocol) -> None:
+    """Each fault is reported with its code, and with what its maker calls it."""
+    if not bench.facts.fault_texts or bench.facts.fault_value is not None:
+        raise NotApplicable("the rig states no texts of faults ([conformance] fault_texts)")
+    for code, words in bench.facts.fault_texts.items():
+        motor = bench.motor
+        if failure_of(motor.reset_fault, motor.enable) is not None:  # the last one stays
+            bench.afresh()
+            motor = bench.motor
+            motor.enable()
+        bench.fail(motor, code)
+        rest_for(bench, bench.facts.time_tolerance_s)
+        fault = motor.fault()
+        expect(fault is not None and fault.code == code, f"fault {code:X}h is reported as {fault}")
+        expect(
+            fault is None or words.lower() in fault.text.lower(),
+            f"fault {code:X}h is reported as {fault}; its maker calls it {words}",
+        )

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _WATCHED_S = 0.2
 _BLIP_S = 0.002
 _FAR = 12.0  # long moves
+_SAME = 1e-3  # of the distance: positions before a move are measured
 _OUT_OF_REACH = 1e9  # long moves: it would take years
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
@@ -71,6 +72,19 @@ def _expect_outside(error: LimitError) -> None:
     high = inf if error.high is None else error.high
     is_outside = low <= high and not low <= error.value <= high
     expect(is_outside, f"refused, though its value is within its limits: {error}")
+
+
+def _expect_of_target(error: LimitError, motor: Motor, before: float, way: float) -> None:
+    """Check that an error about a target is about this one, in units of the motor's model."""
+    if "position" not in error.quantity and "distance" not in error.quantity:
+        return
+    unit = motor.model.unit
+    off = min(abs(error.value - before - way), abs(error.value - way))
+    expect(
+        error.motor == motor.name and error.unit == unit and off <= _SAME * abs(way),
+        f"a move from {before:g} by {way:g} {unit} of {motor.name} was refused as: {error};"
+        f" expected the motor, and its target in {unit}",
+    )
 
 
 @clause(
@@ -347,6 +361,7 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
         except (UsageError, PeerError) as error:  # in advance, or by the drive
             if isinstance(error, LimitError):
                 _expect_outside(error)
+                _expect_of_target(error, motor, before, target)
             expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
             continue
         if abs(share) == _OUT_OF_REACH:

@@ -37,36 +37,42 @@ _READINGS = 40
 )
 def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
     """Measured velocity is the velocity of the output, in sign and size, also at rest."""
-    motor, model = bench.motor, bench.motor.model
-    ramps = model.acceleration_max, model.deceleration
     for share in (0.5, -0.25):
-        asked = share * model.velocity_max
-        up_s, down_s = (ramp_s(abs(asked), one, jerk_of(motor)) for one in ramps)
-        way = 1.5 * asked * _SAMPLES * 0.1 + 0.5 * asked * (up_s + down_s)
-        limits = DerivativeLimits(first=abs(asked))
-        duration_s = least_s(way, abs(asked), *ramps, jerk_of(motor))
-        follow(motor, TrapezoidalTrajectory(way, limits=limits))
-        rest_for(bench, up_s + 0.1)
-        begun_ns, before = bench.runtime.now_ns(), bench.true_position(motor)
-        measured = []
-        for _ in range(_SAMPLES):
-            measured.append(motor.velocity())
-            rest_for(bench, _SAMPLE_S)
-        since_s = elapsed_s(bench, begun_ns)
-        true = (bench.true_position(motor) - before) / since_s
-        mean = sum(measured) / len(measured)
-        expect(
-            abs(mean - true) <= _VELOCITY_SHARE * abs(asked),
-            f"velocity: measured {mean:g} {model.unit}/s at {true:g} {model.unit}/s",
-        )
-        finish(bench, motor, duration_s)
-        rest_for(bench, _SETTLED_S)
-        at_rest = motor.velocity()
+        asked = share * bench.motor.model.velocity_max
+        expect_true_velocity(bench, asked)
+        at_rest = bench.motor.velocity()
+        unit = bench.motor.model.unit
         expect(
             abs(at_rest) <= _VELOCITY_SHARE * abs(asked),
-            f"velocity: measured {at_rest:g} {model.unit}/s at rest, {_SETTLED_S:g} s after a"
-            f" motion at {asked:g} {model.unit}/s; expected 0",
+            f"velocity: measured {at_rest:g} {unit}/s at rest, {_SETTLED_S:g} s after a motion at"
+            f" {asked:g} {unit}/s; expected 0",
         )
+
+
+def expect_true_velocity(bench: RigProtocol, asked: float) -> None:
+    """Move at this velocity [U/s]; check the measured one against the true one; settle."""
+    motor, model = bench.motor, bench.motor.model
+    ramps = model.acceleration_max, model.deceleration
+    up_s, down_s = (ramp_s(abs(asked), one, jerk_of(motor)) for one in ramps)
+    way = 1.5 * asked * _SAMPLES * 0.1 + 0.5 * asked * (up_s + down_s)
+    limits = DerivativeLimits(first=abs(asked))
+    duration_s = least_s(way, abs(asked), *ramps, jerk_of(motor))
+    follow(motor, TrapezoidalTrajectory(way, limits=limits))
+    rest_for(bench, up_s + 0.1)
+    begun_ns, before = bench.runtime.now_ns(), bench.true_position(motor)
+    measured = []
+    for _ in range(_SAMPLES):
+        measured.append(motor.velocity())
+        rest_for(bench, _SAMPLE_S)
+    since_s = elapsed_s(bench, begun_ns)
+    true = (bench.true_position(motor) - before) / since_s
+    mean = sum(measured) / len(measured)
+    expect(
+        abs(mean - true) <= _VELOCITY_SHARE * abs(asked),
+        f"velocity: measured {mean:g} {model.unit}/s at {true:g} {model.unit}/s",
+    )
+    finish(bench, motor, duration_s)
+    rest_for(bench, _SETTLED_S)
 
 
 @clause(
@@ -78,17 +84,22 @@ def measured_velocity_is_true_velocity(bench: RigProtocol) -> None:
 )
 def measured_torque_holds_load(bench: RigProtocol) -> None:
     """Measured torque is the torque that holds the load, in sign and size."""
+    bench.motor.enable()
+    expect_true_torque(bench, 1.0)
+
+
+def expect_true_torque(bench: RigProtocol, settle_s: float) -> None:
+    """Load the enabled motor, which then settles; check the measured torque against the load."""
     motor = bench.motor
-    motor.enable()
     most = torque_of(motor, 1.0)
     measured = []
     for share in (0.4, -0.3):
         from_both_sides = []  # friction holds a part of the load, once with and once against it
         for aside in (0.3, -0.3):
             bench.load(motor, (share + aside) * most)
-            rest_for(bench, 1.0)
+            rest_for(bench, settle_s)
             bench.load(motor, share * most)
-            rest_for(bench, 1.0)
+            rest_for(bench, settle_s)
             from_both_sides.append(motor.torque())
         measured.append(sum(from_both_sides) / 2.0)
     unit = motor.model.unit_of(ControlVariable.TORQUE)

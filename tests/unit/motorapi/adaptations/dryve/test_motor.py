@@ -244,7 +244,9 @@ def test_velocity_beyond_32_bits_is_refused():
         motor.enable()
         motor.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
         motor.set_setpoint(1e9)
-        with pytest.raises(LimitError, match=r"5.72958e\+12 drive units.*60FFh"):
+        with pytest.raises(
+            LimitError, match=r"1e\+09 rad/s, allowed is -374807 to 374807 rad/s.*60FFh"
+        ):
             motor.start()
 
 

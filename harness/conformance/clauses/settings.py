@@ -1,0 +1,452 @@
+"""L0: settings: a motor refuses, or uses, what it declares, and refuses a drive that does not fit.
+
+U is the unit of the motor's position, rad or m.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
+from inspect import signature
+from itertools import product
+from math import inf, isfinite, nan, nextafter
+from typing import Any, Final
+
+from motorhil.harness.conformance.bench import Ability, RigProtocol, Stated
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
+from motorhil.harness.conformance.clauses.helpers import (
+    expect_moved,
+    expect_raises,
+    expect_state,
+    failure_of,
+    long_move,
+    move_exactly,
+    position_of,
+)
+from motorhil.harness.conformance.clauses.motion.measurements import (
+    expect_true_torque,
+    expect_true_velocity,
+)
+from motorhil.harness.rig.config.conformance import Capability
+from motorhil.motorapi import (
+    DeadlineExceeded,
+    DeviceFault,
+    LimitError,
+    Motor,
+    MotorError,
+    MotorModel,
+    MotorState,
+    UnsupportedError,
+    UsageError,
+)
+from motorhil.motorapi.model import MotionKind
+from motorhil.settings import Number, SettingError, Text, declaration, shown
+
+_UNIT_MAX: Final = 16  # characters
+_UNKNOWN: Final = "no_such_option"
+_WRONG: Final[tuple[object, ...]] = (True, "", "no such word", 0.5, nan, inf, -inf, [], {}, b"1")
+"""Values of all types; an option takes few of them, if any."""
+_NO_ADDRESS: Final[tuple[object, ...]] = (True, -1, 0x1_0000, 1.5, "1", None)
+_NO_PARAMETERS: Final[tuple[object, ...]] = ({}, None, 1, "parameters")
+_SCALES: Final = (
+    *("gear_ratio", "encoder_increments_rev", "increments_per_unit"),
+    *("velocity_unit", "acceleration_unit"),
+)
+_SPEED: Final = 0.5  # of the model's velocity
+_HERE: Final = 35  # CiA 402-2, 6098h
+_SETTLED_S: Final = 0.5
+_UP: Final = 1.25
+_FURTHER: Final = 0x20
+_ASIDE: Final = 16
+_ADDRESSES: Final = ("node_id", "unit")
+
+
+def _stated(bench: RigProtocol) -> Stated:
+    found = bench.stated()
+    if found is None:
+        raise NotApplicable("the adaptation declares no settings")
+    return found
+
+
+def _takes(kind: Any, value: object) -> bool:
+    """Return whether a kind of value takes this one."""
+    try:
+        kind.read(value, ("value",))
+    except SettingError:
+        return False
+    return True
+
+
+def _outside(kind: Any) -> Iterator[tuple[object, float]]:
+    """Yield the numbers nearest to a range that are not in it, and the limit that they pass."""
+    if not isinstance(kind, Number):
+        return
+    for bound, way in ((kind.low, -1), (kind.high, 1)):
+        if not isfinite(bound):
+            continue
+        if kind.is_whole:
+            yield int(bound) + way, bound
+        elif kind.above and way < 0:
+            yield bound, bound
+        else:
+            yield nextafter(bound, way * inf), bound
+
+
+def _refusal(bench: RigProtocol, settings: Mapping[str, object]) -> MotorError | None:
+    """Return the error of a motor with these settings, or None if it was built."""
+    try:
+        built = bench.build(settings)
+    except MotorError as error:
+        return error
+    built.close()
+    return None
+
+
+def _expect_refused(
+    bench: RigProtocol, settings: Mapping[str, object], what: str, key: str
+) -> MotorError | None:
+    """Expect a motor with these settings to be refused by the name of the key; return the error."""
+    error = _refusal(bench, settings)
+    expect(error is not None, f"{what}: accepted; expected UsageError")
+    expect(
+        isinstance(error, UsageError) and key in f"{error}",
+        f"{what}: {type(error).__name__}: {error}; expected UsageError with {key}",
+    )
+    return error
+
+
+@clause(
+    "OPT-01",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="requirement 1: the facts of hardware are settings; errors: value, limit, unit",
+)
+def wrong_settings_are_refused_by_name(bench: RigProtocol) -> None:
+    """A setting out of range, of another type, missing or unknown is refused by its name."""
+    stated = _stated(bench)
+    right = dict(stated.values)
+    built = bench.build(right)
+    unit = built.model.unit
+    built.close()
+    for key, name in stated.declaration.names(unit).items():
+        kind = stated.declaration.keys[name].kind
+        for value, limit in _outside(kind):
+            what = f"{key} = {value!r}, beyond its limit {limit:g}"
+            error = _expect_refused(bench, {**right, key: value}, what, key)
+            texts = {f"{limit:g}", f"{limit}", f"{limit:.0f}"}
+            is_told = any(text in f"{error}" for text in texts)
+            expect(is_told, f"{what}: {error}; expected its limit, {limit:g}")
+        for wrong in _WRONG:
+            if not _takes(kind, wrong):
+                _expect_refused(bench, {**right, key: wrong}, f"{key} = {wrong!r}", key)
+        if name not in stated.declaration.defaults:
+            rest = {one: right[one] for one in right if one != key}
+            _expect_refused(bench, rest, f"without {key}", key)
+    _expect_ends(bench, stated, unit)
+    _expect_refused(bench, {**right, _UNKNOWN: 1}, f"the unknown key {_UNKNOWN}", _UNKNOWN)
+    motor = bench.motor
+    motor.enable()
+    expect_state(motor, MotorState.ENABLED, "after wrong settings of others were refused")
+
+
+def _names(text: str, key: str) -> bool:
+    """Return whether a message names a key, and does not just have its word."""
+    return key in text if "_" in key else f"{key} =" in text or f"{key}:" in text
+
+
+def _expect_ends(bench: RigProtocol, stated: Stated, unit: str) -> None:
+    """Expect the ends of each range to be accepted, or refused beside another setting."""
+    names = stated.declaration.names(unit)
+    values = dict(stated.values)
+    for key in _ADDRESSES:  # another place, since the bench has a motor in its own
+        address = values.get(key)
+        if isinstance(address, int):
+            values[key] = address + _ASIDE
+    for key, name in names.items():
+        kind = stated.declaration.keys[name].kind
+        if not isinstance(kind, Number):
+            continue
+        ends = (kind.low, kind.high)
+        for end in (int(one) if kind.is_whole else one for one in ends if isfinite(one)):
+            if not _takes(kind, end):
+                continue
+            error = _refusal(bench, {**values, key: end})
+            is_other = any(_names(f"{error}", one) for one in names if one != key)
+            expect(
+                error is None or (isinstance(error, UsageError) and is_other),
+                f"{key} = {end!r}, an end of its range: {type(error).__name__}: {error}",
+            )
+
+
+@clause(
+    "OPT-02",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="motorhil.settings: default, range, unit and usual magnitudes of a setting",
+)
+def declared_settings_are_consistent(bench: RigProtocol) -> None:
+    """The default of a setting is in its range and usual, and all that is usual is permitted."""
+    declared = _stated(bench).declaration
+    for name, key in declared.keys.items():
+        kind, default = key.kind, declared.defaults.get(name)
+        if default is not None and isinstance(kind, Number | Text):
+            expect(_takes(kind, default), f"{name}: its default {shown(default)} is not allowed")
+        if not isinstance(kind, Number):
+            continue
+        unit = kind.unit
+        is_unit = len(unit) <= _UNIT_MAX and " " not in unit
+        expect(is_unit, f"{name}: {unit!r} is not a unit; expected up to {_UNIT_MAX} characters")
+        for usual in (kind.plausible, kind.plausible_m):
+            if usual is None:
+                continue
+            least, most = usual
+            text = f"{name}: usual are {least:g} to {most:g} {unit}"
+            expect(0.0 < least < most, f"{text}; expected magnitudes, the smaller first")
+            ends = max(abs(kind.low), abs(kind.high))
+            expect(most <= ends, f"{text}; allowed: {kind.limits()}")
+            if usual is kind.plausible and isinstance(default, int | float):
+                expect(
+                    kind.doubt(default, (name,)) is None,
+                    f"{text}; its own default {default:g} is not",
+                )
+
+
+@clause(
+    "OPT-03",
+    Level.L0,
+    needs={Capability.LOW_LEVEL},
+    bench={Ability.SETTINGS},
+    source="paper 3.5, no more than one physical motor object for any motor in the system",
+)
+def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
+    """A hardware object refuses wrong addresses and options; a drive has one, with its settings."""
+    motor = bench.motor
+    motor.enable()
+    motor.disable()
+    with motor.low_level() as found:
+        hardware: Any = found
+    _expect_parameters(motor)
+    _expect_options(getattr(hardware, "options", None))
+    stated = bench.stated()
+    if stated is not None:
+        _expect_shared(bench, motor, hardware, stated)
+        _expect_addresses(bench, motor, hardware, stated)
+    motor.enable()
+    expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
+
+
+def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: Stated) -> None:
+    """Expect hardware objects with wrong addresses, and a second one, to be refused."""
+    kind: Callable[..., Any] = type(hardware)
+    known = signature(kind).parameters
+    first, second, *others = [*known, "", ""]
+    own = {"runtime": bench.runtime} if "runtime" in others else {}
+    needed = {one.name for one in known.values() if one.default is one.empty} - {*own}
+    if (first, second) not in (("bus", "node_id"), ("line", "unit")) or needed != {first, second}:
+        return
+    for value in _NO_ADDRESS:
+        made = partial(kind, bench.link, value, **own)
+        error = failure_of(made)
+        expect(
+            isinstance(error, UsageError) and repr(value) in f"{error}",
+            f"{kind.__name__} with {second} = {value!r}: {error}; expected a UsageError with it",
+        )
+    error = failure_of(partial(kind, bench.link, stated.values.get(second), **own))
+    expect(isinstance(error, UsageError), f"a second {kind.__name__} of {motor.name}: {error}")
+
+
+def _expect_parameters(motor: Any) -> None:
+    """Expect what is not the motor's parameters to be refused by name, and no number in them."""
+    set_parameters = getattr(motor, "set_parameters", None)
+    if set_parameters is None:
+        return
+    before = motor.parameters
+    kind: Callable[..., Any] = type(before)
+    for value in _NO_PARAMETERS:
+        error = failure_of(partial(set_parameters, value))
+        is_told = isinstance(error, UsageError) and repr(value) in f"{error}"
+        expect(is_told, f"{value!r} as parameters of {motor.name}: {error}; expected UsageError")
+    expect(motor.parameters == before, f"parameters {motor.parameters} after a refusal")
+    for one in fields(before) if is_dataclass(before) else ():
+        for value in (nan, "no number", b"1"):
+            what = f"parameters with {one.name} = {value!r} were accepted"
+            made = partial(kind, **{one.name: value})
+            expect_raises((UsageError, TypeError), made, what)
+    set_parameters(before)
+
+
+def _expect_options(options: Any) -> None:
+    """Expect options that an application makes to be checked as those of a rig."""
+    made: Callable[..., Any] = type(options)
+    declared = {} if options is None else _declared(options)
+    for name, kind in declared.items():
+        values = [value for value, _ in _outside(kind)]
+        for value in [*values, *(one for one in _WRONG if not _takes(kind, one))]:
+            error = failure_of(partial(made, **{name: value}))
+            expect(
+                isinstance(error, UsageError) and name in f"{error}",
+                f"{made.__name__}({name}={value!r}): {error}; expected UsageError",
+            )
+
+
+def _declared(options: object) -> dict[str, Any]:
+    """Return the kinds of the declared options of an object, by name."""
+    if not is_dataclass(options):
+        return {}
+    return {name: key.kind for name, key in declaration(type(options)).keys.items()}
+
+
+def _expect_shared(bench: RigProtocol, motor: Motor, hardware: Any, stated: Stated) -> None:
+    """Expect a further motor on the drive to share its hardware object, with its settings."""
+    second = bench.build(stated.values)
+    with second.low_level() as found:
+        expect(found is hardware, f"{motor.name}: its drive has a second hardware object")
+    second.close()
+    known = getattr(hardware, "options", hardware)
+    for key, name in stated.declaration.names(motor.model.unit).items():
+        kind, value = stated.declaration.keys[name].kind, getattr(known, name, None)
+        if key == "name" or not isinstance(kind, Number) or not isinstance(value, int | float):
+            continue
+        other = value + 1 if kind.is_whole else _UP * value
+        if other == value or not _takes(kind, other) or key in _ADDRESSES:
+            continue
+        error = _refusal(bench, {**stated.values, key: other})
+        expect(
+            isinstance(error, UsageError),
+            f"a further motor on the drive of {motor.name}, with {key} = {other:g} in the place of"
+            f" {value:g}: {error}; expected UsageError, as the hardware object has one {key}",
+        )
+
+
+@clause(
+    "OPT-04",
+    Level.L0,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SETTINGS, Ability.TRUTH, Ability.LOAD},
+    source="paper 3.2, the adaptation maps units of the drive; settings of motor and drive",
+)
+def common_settings_fit_for_each_value(bench: RigProtocol) -> None:
+    """Whatever address, model or unit motor and drive both state, values are true, in SI units."""
+    motor, drive = bench.stated(), bench.stated(of_drive=True)
+    if motor is None or drive is None:
+        raise NotApplicable("the adaptation, or its drive, declares no settings")
+    found = False
+    for key, of_drive, value in _common(motor, drive):
+        found = True
+        with bench.altered({key: value}, {of_drive: value}):
+            what = f"{key} = {shown(value)} on both sides"
+            _expect_true(bench, what)
+    if not found:
+        raise NotApplicable("motor and drive have no setting in common")
+
+
+def _common(motor: Stated, drive: Stated) -> Iterator[tuple[str, str, object]]:
+    """Yield keys of motor and drive that state the same, each with another common value."""
+    sides = [(one, one.declaration, one.declaration.names("rad")) for one in (motor, drive)]
+    (own, declared, names), (its, of_drive, others) = sides
+    for (key, name), (other, field) in product(names.items(), others.items()):
+        kind, second = declared.keys[name].kind, of_drive.keys[field].kind
+        value = own.values.get(key, declared.defaults.get(name))
+        if value is None or value != its.values.get(other, of_drive.defaults.get(field)):
+            continue
+        if isinstance(kind, Text) and isinstance(second, Text):
+            if len(kind.words) > 1 and kind.words == second.words:
+                yield from ((key, other, word) for word in kind.words if word != value)
+        elif key == other and isinstance(value, int | float) and isinstance(kind, Number):
+            another = value + _FURTHER if kind.is_whole else _UP * value
+            if another != value and _takes(kind, another) and _takes(second, another):
+                yield key, other, another
+
+
+def _expect_true(bench: RigProtocol, what: str) -> None:
+    """Expect positions, velocities and torques of the motor to be those of its output."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    try:
+        motor.enable()
+        before = position_of(bench, motor)
+        move_exactly(bench, motor, way, what)
+        expect_moved(bench, motor, before, way, what)
+        expect_true_velocity(bench, _SPEED * motor.model.velocity_max)
+        with suppress(UnsupportedError):
+            motor.home(_HERE)
+            here = motor.position()
+            expect(abs(here) <= bench.facts.window, f"at {here:g} after homing on the spot")
+            move_exactly(bench, motor, way, "after homing on the spot")
+        with suppress(UnsupportedError):
+            motor.torque()
+            expect_true_torque(bench, _SETTLED_S)
+    except LimitError:
+        return  # the model of the motor is too much for this one
+    except Violated as violated:
+        raise Violated(f"{what}: {violated}") from None
+
+
+@clause(
+    "MODEL-03",
+    Level.L0,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SETTINGS, Ability.TRUTH},
+    source="paper 3.2, the motor model; UsageError: the model does not suit the drive",
+)
+def model_without_scale_is_refused_or_right(bench: RigProtocol) -> None:
+    """With a model that lacks a scale, a motor is refused by name, or moves as far as commanded."""
+    values = _stated(bench).values
+    built = bench.build(values)
+    model = built.model
+    bench.true_position(built)  # its scale is that of the whole model
+    built.close()
+    for name in _SCALES:
+        if (getattr(model, name) or 0.0) > 0.0:  # a negative one is the direction, too
+            without: dict[str, Any] = {name: None}
+            lacking = replace(model, name="incomplete", **without)
+            _expect_refused_or_right(bench, values, lacking, f"a model without {name}")
+    other = MotionKind.LINEAR if model.kind is MotionKind.ROTARY else MotionKind.ROTARY
+    error = failure_of(lambda: bench.build(values, replace(model, kind=other)).close())
+    expect(
+        error is None or isinstance(error, UsageError),
+        f"a model of the kind {other.value}: {type(error).__name__}: {error}; expected UsageError",
+    )
+
+
+def _expect_refused_or_right(
+    bench: RigProtocol, values: Mapping[str, object], model: MotorModel, what: str
+) -> None:
+    """Expect a UsageError that names the model or its motor, or a true move."""
+    try:
+        motor = bench.build(values, model)
+    except UsageError as error:
+        expect(model.name in f"{error}", f"{what}: {error}; expected the name {model.name}")
+        return
+    try:
+        motor.enable()
+        before, way = position_of(bench, motor), 0.1 * long_move(bench)
+        move_exactly(bench, motor, way, what)
+        expect_moved(bench, motor, before, way, what)
+    except UsageError as error:
+        is_named = model.name in f"{error}" or motor.name in f"{error}"
+        expect(is_named, f"{what}: {error}; expected the name {motor.name}")
+    finally:
+        motor.close()
+
+
+@clause(
+    "FIT-01",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="PeerError: the device is not as expected; [conformance] unfit",
+)
+def unfit_drive_is_refused(bench: RigProtocol) -> None:
+    """A drive that the adaptation cannot control is refused before anything else, and not moved."""
+    if not bench.facts.unfit:
+        raise NotApplicable("the rig states no drive that does not fit ([conformance] unfit)")
+    for settings in bench.facts.unfit:
+        with bench.altered({}, settings):
+            motor = bench.motor
+            told = ", ".join(f"{key} = {shown(value)}" for key, value in settings.items())
+            for operation in (motor.position, motor.enable):
+                error = failure_of(operation)
+                expect(error is not None, f"a drive with {told} was accepted")
+                expect(
+                    not isinstance(error, DeviceFault | DeadlineExceeded),
+                    f"a drive with {told}: {type(error).__name__}: {error}; expected its refusal",
+                )
