@@ -349,7 +349,7 @@ def owners_are_announced_on_the_bus(bench: RigProtocol) -> None:
     "PROC-14",
     Level.L3,
     needs=_MOVES,
-    bench={*_TWO, Ability.OTHER_PROGRAM, Ability.TRAFFIC},  # a profile that the drive ends itself
+    bench={*_TWO, Ability.OTHER_PROGRAM, Ability.TRAFFIC},
     source="Sharing and locking: stops are free; MotionInterrupted names the other program",
 )
 def any_program_may_stop_the_motor(bench: RigProtocol) -> None:
@@ -364,8 +364,8 @@ def any_program_may_stop_the_motor(bench: RigProtocol) -> None:
             error = failure_of(partial(motor.wait_until_done, _PATIENCE_S))
             is_told = isinstance(error, MotionInterrupted) and "program" in error.by
             expect(is_told, f"{what}: the wait of {motor.name} ended with {error!r}")
-            with _silent(bench, motor, f"{what}: {motor.name} was told of it"):
-                finish(bench, other)
+            finish(bench, other)
+            with _silent(bench, motor, f"{what} was obeyed: {motor.name} waited for that"):
                 rest_for(bench, _LINGER_S)
             expect_rest(bench, motor, what)
             made = abs(position_of(bench, motor) - begin)

@@ -756,7 +756,7 @@ def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
         expect(party.join(_PATIENCE_S) and party.error is None, f"stop(): {party.error!r}")
         what = f"{other.name} called stop() {share:.0%} into start() of {motor.name}"
         error = error or failure_of(partial(motor.wait_until_done, _PATIENCE_S))
-        is_told = isinstance(error, MotionInterrupted) and other.name in error.by
+        is_told = isinstance(error, MotionInterrupted | MotorBusyError) and other.name in str(error)
         expect(is_told, f"{what}: {error!r}; expected that it is told of the stop")
         finish(bench, other)
         expect_rest(bench, motor, what)
