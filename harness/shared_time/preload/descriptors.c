@@ -307,7 +307,8 @@ enum result wait_for_input(int fd, int64_t deadline_ns)
     struct pollfd input = {.fd = fd, .events = POLLIN};
     struct polled polled = {&input, 1};
     look_at(fd);
-    return wait_point(is_polled, &polled, deadline_ns, deadline_ns == NEVER ? RESTARTS : 0);
+    int flags = (has_neighbours ? ON_PROCESSES : 0) | (deadline_ns == NEVER ? RESTARTS : 0);
+    return wait_point(is_polled, &polled, deadline_ns, flags);
 }
 
 static int64_t deadline_in_ms(int ms)
