@@ -53,10 +53,13 @@ _RATES: Final = {
     value: int(name[1:]) for name, value in vars(termios).items() if re.fullmatch(r"B\d+", name)
 }
 _TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B  # Linux, asm-generic/ioctls.h
-_BAUD_AT: Final = 9  # c_ispeed of struct termios2, in words
+_TIOCGSERIAL, _SERIAL_STRUCT_BYTES = 0x541E, 72
+_TERMIOS2: Final = struct.Struct("=4IB19s2I")  # flags, line, controls, rates [bit/s]
+_CBAUD, _BOTHER = 0o010017, 0o010000  # Linux, asm-generic/termbits.h
+_CONTROLS: Final = 19
 _ACCEPTED: Final = frozenset(
     {termios.TIOCMBIS, termios.TIOCMBIC, termios.TIOCMSET, termios.TIOCEXCL, termios.TIOCNXCL}
-    | {0x5427, 0x5428, 0x541E, 0x541F, 0x542F}  # TIOCSBRK, -CBRK, TIOCGSERIAL, -SSERIAL, TIOCSRS485
+    | {0x5427, 0x5428, 0x541F, 0x542F}  # TIOCSBRK, TIOCCBRK, TIOCSSERIAL, TIOCSRS485
 )
 _OWN_PORT: Final = 49_152  # the first that is free for clients
 _VTIME_S: Final = 0.1
@@ -140,6 +143,7 @@ class _End:
         peer: the address that the program has connected to; None on a serial port.
         options: of the socket, by (level, option).
         free_ns: when the last character of the program has been sent [ns].
+        rate: as set, if termios has no name for it; else 0 [bit/s].
     """
 
     def __init__(
@@ -156,6 +160,7 @@ class _End:
         self.peer: tuple[Any, ...] | None = None
         self.options: dict[tuple[int, int], Any] = {}
         self.free_ns: int = 0
+        self.rate: int = 0
         self.settings: list[Any] | None = None
         if _is_port(bus):
             controls = [bytes([one == termios.VMIN]) for one in range(32)]
@@ -716,13 +721,43 @@ def _controlled(fd: Any, request: int, arg: Any = 0, mutate_flag: bool = True, /
     end = _terminal_of(fd) if is_meant() else None
     if end is None or request == termios.FIONREAD:
         return _ioctl(fd, request, arg, mutate_flag)
-    if request in (termios.TIOCMGET, termios.TIOCOUTQ):
-        return _SIGNALS if request == termios.TIOCMGET else struct.pack("I", end.unsent())
-    if request == _TCSETS2 and not isinstance(arg, int):
-        end.compare(memoryview(arg).cast("B").cast("i")[_BAUD_AT], _settings(end)[2])
-    elif request not in _ACCEPTED and request != _TCGETS2:
+    found = b""
+    if request == termios.TIOCMGET:
+        found = _SIGNALS
+    elif request == termios.TIOCOUTQ:
+        found = struct.pack("I", end.unsent())
+    elif request == _TCGETS2:
+        found = _packed_settings(end)
+    elif request == _TIOCGSERIAL:
+        found = bytes(_SERIAL_STRUCT_BYTES)
+    elif request == _TCSETS2 and not isinstance(arg, int):
+        _set_packed(end, bytes(memoryview(arg).cast("B")[: _TERMIOS2.size]))
+    elif request not in _ACCEPTED:
         raise OSError(errno.ENOTTY, f"request {request:#x} of a serial port: not supported")
-    return arg
+    if not found or isinstance(arg, int | bytes | str) or not mutate_flag:
+        return found or arg
+    own = memoryview(arg).cast("B")
+    own[: len(found)] = found[: len(own)]
+    return 0
+
+
+def _packed_settings(end: _End) -> bytes:
+    """Return the settings as a struct termios2."""
+    settings = _settings(end)
+    controls = bytes(one if isinstance(one, int) else one[0] for one in settings[6][:_CONTROLS])
+    rate = end.rate or _RATES.get(settings[5], 0)
+    return _TERMIOS2.pack(*settings[:4], 0, controls, rate, rate)
+
+
+def _set_packed(end: _End, data: bytes) -> None:
+    """Take the settings of a struct termios2, and a rate that has no name in termios."""
+    *flags, _, controls, _, rate = _TERMIOS2.unpack(data)
+    speed = flags[2] & _CBAUD
+    more = _settings(end)[6][_CONTROLS:]
+    end.set([*flags, speed, speed, [*(bytes([one]) for one in controls), *more]])
+    end.rate = rate if speed == _BOTHER else 0
+    if end.rate:
+        end.compare(end.rate, flags[2])
 
 
 def _terminal_of(fd: Any) -> _End | None:

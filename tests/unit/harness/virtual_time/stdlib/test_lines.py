@@ -385,6 +385,30 @@ def test_settings_that_the_line_has_not_are_told(wires, capsys, asked, told):
     assert capsys.readouterr().err.splitlines() == ([] if told is None else [line])
 
 
+def test_settings_of_struct_termios2_are_kept(wires, capsys):
+    """Linux, asm-generic/termbits.h: c_iflag, ..., c_cc, c_ispeed, c_ospeed."""
+    layout = struct.Struct("=4IB19s2I")
+    get, put = 0x802C542A, 0x402C542B  # TCGETS2, TCSETS2
+    with port() as fd:
+        own = bytearray(64)
+        assert fcntl.ioctl(fd, get, own) == 0
+        *flags, line, controls, _, rate = layout.unpack_from(own)
+        assert flags == termios.tcgetattr(fd)[:4]
+        assert (controls[termios.VMIN], rate) == (1, 9_600)
+        flags[2:] = [flags[2] & ~0o010017 | 0o010000, 0]  # BOTHER; no ICANON, no ECHO
+        controls = bytes(19)
+        fcntl.ioctl(fd, put, layout.pack(*flags, line, controls, 250_000, 250_000))
+        assert fcntl.ioctl(fd, get, bytes(44)) == layout.pack(*flags, 0, controls, *[250_000] * 2)
+        assert termios.tcgetattr(fd)[3] == 0
+        os.set_blocking(fd, True)
+        assert os.read(fd, 1) == b""  # VMIN and VTIME 0
+        signals = bytearray(4)
+        assert fcntl.ioctl(fd, termios.TIOCMGET, signals) == 0
+        assert signals[0] & termios.TIOCM_CTS
+        fcntl.ioctl(fd, 0x541F, fcntl.ioctl(fd, 0x541E, bytes(72)))  # as setserial does
+    assert capsys.readouterr().err.count("opened with 250000 bit/s, 8N1") == 1
+
+
 def test_timeout_of_pyserial_is_in_the_rigs_time(wires):
     timeout = serial.serialutil.Timeout(10.0)
     time.sleep(9.9)
