@@ -385,8 +385,8 @@ def _expect_last_readings(other: Motor) -> None:
     """Check that readings are those received last, or are refused, during low-level access."""
     latest = other.latest()
     if latest is None:  # a host that only asks has forgotten them
-        for read in (other.state, other.fault):
-            expect(_refusal_of(read) is not None, f"{read.__name__}() asked the drive")
+        for ask in (other.state, other.fault):
+            expect(_refusal_of(ask) is not None, f"{ask.__name__}() asked the drive")
     else:
         expect(other.state() is latest.state, f"state() is not that of {latest}")
         expect(other.fault() is None, f"fault() is {other.fault()}, but latest() is {latest}")
