@@ -356,6 +356,7 @@ def any_program_may_stop_the_motor(bench: RigProtocol) -> None:
     """Any program may stop a motor; the user of the motor learns it, and may move it again."""
     motor, other = _both(bench)
     way = 2.0 * long_move(bench)
+    other.position()  # connected, and so quick to stop
     for stop in (Motor.stop, Motor.halt, Motor.quick_stop):
         what = f"{stop.__name__}() of {other.name} in another program"
         with motor.reserve("survey"):

@@ -6,8 +6,9 @@ import pytest
 
 from motorhil.emulators.can.frame import can_id_of
 from motorhil.harness.cli.main import main
+from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.benches.variations import (
-    NOT_VARIED,
+    APART,
     OWN,
     READ,
     VARIATIONS,
@@ -19,6 +20,7 @@ from motorhil.harness.conformance.benches.variations import (
 from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.target import Target
+from motorhil.motorapi import MotorBusyError
 from tests.support.kit_benches import KINDS, RIGS
 
 CLAUSES = list(all_clauses())
@@ -38,7 +40,7 @@ def test_seeds_vary_the_bench_of_a_clause():
 
 
 def test_conditions_without_clause_are_reported():
-    assert not_met(["backlash", "slow bus"], {OWN, "slow bus"}) == ["backlash", *NOT_VARIED]
+    assert not_met(["backlash", "slow bus"], {OWN, "slow bus"}) == ["backlash"]
 
 
 def test_pairs_leave_out_those_that_contradict_each_other():
@@ -53,9 +55,19 @@ def test_pair_of_a_bench_has_both_changes():
         assert bench.rig.controllers["left"].core.od.integer(0x607C, 0, 0) == 1000
 
 
+def test_other_users_in_a_second_program_have_locks_between():
+    with Target(Job("cia402")).opener(None, APART)() as bench:
+        motor = bench.motor
+        other = bench.another_user_of(motor)
+        assert other.hardware is not motor.hardware
+        with motor.reserve("survey"), pytest.raises(MotorBusyError, match=r"pid \d+ .* for survey"):
+            other.enable()
+        assert Ability.ONE_PROGRAM not in bench.abilities
+
+
 def test_pairs_not_met_are_counted():
     missing = not_met(["a", "b", "c", "a + b", "a + c"], {OWN, "a + b"})
-    assert missing == ["c", "1 of 2 pairs", *NOT_VARIED]
+    assert missing == ["c", "1 of 2 pairs"]
 
 
 def test_text_without_the_place_of_a_change_is_refused():
