@@ -147,7 +147,8 @@ def watch_motor(
     bus, controller = description.bus, description.controller
     places = () if bus is None or controller is None else ((bus, controller),)
     recorder.watch_motor(description.name, _Reader(motor).read, places)
-    if not motor.ownership.listeners:
+    if not motor.ownership.is_announced:
+        motor.ownership.is_announced = True
         writer = LockWriter(recorder, world)
         motor.ownership.listeners.append(MotorTap(writer, description.name).heard)
 

@@ -264,6 +264,7 @@ def announce(ownership: "Ownership", bus: "can.BusABC", resource: int) -> None:
         tell_bus(bus, resource, event.action, event.token, facts)
 
     ownership.listeners.append(tell)
+    ownership.is_announced = True
 
 
 def tell_bus(

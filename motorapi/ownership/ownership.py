@@ -227,6 +227,7 @@ class Ownership:
         is_orphan: True if the previous owner died with the motor, or lost it, so that it may still
             be moving; the next owner brings it to rest first, and clears this.
         listeners: called with each event of the ownership; see `motorhil.motorapi.ownership.claim`.
+        is_announced: True if one of them tells the events to a bus, or to a record.
         refusal_check: raises MotorBusyError if the bus has refused frames of this ownership.
     """
 
@@ -238,6 +239,7 @@ class Ownership:
         self.lock: Final = lock
         self.absences: int = 0
         self.is_orphan: bool = False
+        self.is_announced: bool = False
         self.refusal_check: Callable[[], None] = lambda: None
         self._notifier: Final = OwnershipNotifier()
         self.listeners: Final = self._notifier.listeners
