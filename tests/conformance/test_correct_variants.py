@@ -89,9 +89,15 @@ def test_variant_once_accused_passes(tmp_path, name, clause, seed):
     assert accusations(opener_of(tmp_path, *VARIANTS[name], seed=seed), [clause]) == []
 
 
-def test_motor_of_another_kind_once_accused_passes():
-    """Check moteus at 5 rad, whose limit is rounded up: it was refused the way back."""
-    assert accusations(Target(Job("moteus")).opener(None, "starts at 5 rad"), ["LIM-01"]) == []
+OTHERS_ONCE_ACCUSED = [
+    ("moteus", "starts at 5 rad", "LIM-01"),  # its limit is rounded up: it was refused the way back
+    ("oriental_az", "AZ drive keeps its trigger", "PROC-14"),  # it ignored the stop of a program
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "clause"), OTHERS_ONCE_ACCUSED)
+def test_motor_of_another_kind_once_accused_passes(kind, name, clause):
+    assert accusations(Target(Job(kind, seed=2)).opener(None, name), [clause]) == []
 
 
 @pytest.mark.nightly

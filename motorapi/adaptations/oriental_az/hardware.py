@@ -7,7 +7,8 @@ the same block.
 
 A drive ignores a trigger that it has already. One drive clears its trigger after each operation,
 another keeps it. On the other, the trigger is cleared before each start. A stop is one request, so
-it uses another trigger there: that of the operation type alone, with the ramp of the motion.
+it uses another trigger there: that of the operation type alone, with the ramp of the motion. Until
+the kind is known, and another program may have started the motion, a drive is taken for the other.
 
 Source: an open-source master for these drives, and the description of the maker's emulator.
 """
@@ -219,8 +220,9 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
             kind, target, self._hz = _ABSOLUTE, self._target(counts, "steps"), None
         self._prepared = words(0, kind, target, speed, faster, slower, self._current, _ALL)
         self._deceleration = slower
-        if self._keeps is None and self._is_triggered:
-            self._keeps = bool(self.registers.read_i32(_TRIGGER))
+        if self._keeps is None and (self._is_triggered or self.physical.ownership.absences):
+            is_set = bool(self.registers.read_i32(_TRIGGER))
+            self._keeps = is_set if self._is_triggered else is_set or None
         if self._keeps:
             self.registers.write(_TRIGGER, *words(0))
 
@@ -232,8 +234,7 @@ class OrientalAzHwMotor(PolledHardware[ModbusUnit]):
     def _post_stop(self) -> ModbusExchange:
         self._hz = None
         slower = self._deceleration
-        keeps = self._is_triggered if self._keeps is None else self._keeps
-        trigger = _TYPE_ALONE if keeps else _ALL
+        trigger = _ALL if self._keeps is False else _TYPE_ALONE
         self._is_triggered = True
         block = words(0, _DECELERATE, 0, 0, slower, slower, self._current, trigger)
         return self.registers.post(_BLOCK, *block)
