@@ -92,6 +92,7 @@ def test_variant_once_accused_passes(tmp_path, name, clause, seed):
 OTHERS_ONCE_ACCUSED = [
     ("moteus", "starts at 5 rad", "LIM-01"),  # its limit is rounded up: it was refused the way back
     ("oriental_az", "AZ drive keeps its trigger", "PROC-14"),  # it ignored the stop of a program
+    ("leadshine", "Leadshine drive options", "SYNC-09"),  # told late, it stopped where it arrives
 ]
 
 

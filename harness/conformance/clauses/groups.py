@@ -701,7 +701,7 @@ def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
                 group.start()
         except NotApplicable:
             continue
-        rest_for(bench, midway_s(other, way, 0.4))
+        rest_for(bench, midway_s(other, way, 0.2))
         bench.fail(failing)
         error = failure_of(partial(group.wait_until_done, 10.0)) if waits else None
         for _ in range(_LOOKS):
