@@ -10,9 +10,11 @@ the reason.
 """
 
 import argparse
+import ctypes
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,6 +24,8 @@ NO_WAY = 125
 CAN_MODULES = ("net/can/can", "net/can/can-raw", "net/can/can-bcm", "drivers/net/can/dev/can-dev")
 VCAN_MODULE = "drivers/net/can/vcan"
 NAMESPACES = (["unshare", "--net"], ["unshare", "--map-root-user", "--net"])
+PROCESSES = ("--pid", "--fork", "--kill-child")  # a guest has several, which end together
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 class NoWayError(Exception):
@@ -120,6 +124,23 @@ while :; do $bb sleep 1; done
 """
 
 
+def ending_together() -> list[str]:
+    """Return a prefix that ends all processes of a command with its first one, if there is one."""
+    for way in (["unshare"], ["unshare", "--map-root-user"]):
+        prefix = [*way, *PROCESSES]
+        if (
+            shutil.which("unshare")
+            and subprocess.run([*prefix, "true"], check=False, capture_output=True).returncode == 0
+        ):
+            return prefix
+    return []
+
+
+def end_with_parent() -> None:
+    """Let the kernel end this process when its parent ends, however that ends."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
     """Return the command's exit status from a User Mode Linux guest on this machine's files."""
     uml = unpacked("user-mode-linux")
@@ -143,6 +164,7 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
             (run / name).chmod(0o755)
         subprocess.run(
             [
+                *ending_together(),
                 str(kernel),
                 f"mem={memory_mib}M",
                 "root=/dev/root",
@@ -163,6 +185,7 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
             stderr=subprocess.DEVNULL,
             env={**os.environ, "TMPDIR": "/dev/shm" if os.access("/dev/shm", os.W_OK) else "/tmp"},
             check=False,
+            preexec_fn=end_with_parent,
         )
         for name, stream in (("out", sys.stdout), ("err", sys.stderr)):
             if (run / name).is_file():
