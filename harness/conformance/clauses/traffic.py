@@ -12,7 +12,6 @@ from math import ceil
 from random import Random
 from typing import Any, Final, final
 
-from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK, data_of
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import elapsed_s, expect_raises, long_move, move
@@ -62,6 +61,10 @@ _FD_NOMINAL: Final = (17, 36)  # up to BRS
 _FD_STUFF: Final = (3, 8)  # stuff bits that can come before BRS
 _ROUNDING_S: Final = 1e-12
 _NEAR_S: Final = 2e-9
+_IDENTIFIER: Final = 0x1FFF_FFFF
+_EXTENDED: Final = 0x8000_0000
+_REMOTE: Final = 0x4000_0000
+_CLASSICAL: Final = "CAN_20"  # of can.CanProtocol
 _OFTEN: Final = 2.0  # as often as declared: also when something else asks for a frame
 _MORE: Final = 3
 
@@ -555,19 +558,19 @@ def _expect_straddling() -> None:
 )
 def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
     """The periodic frames of a motor are on its bus as declared: no longer, and no more often."""
-    from can import CanProtocol
-
     motor, link = bench.motor, bench.link
     motor.enable()
     seen: dict[tuple[int, bool], tuple[int, int]] = {}  # count and longest data
 
     def on_frame(frame: bytes, time_ns: int, is_own: bool) -> None:
-        word = int.from_bytes(frame[:4], "little")
-        rank = rank_of(word & EFF_MASK, extended=bool(word & EFF_FLAG))
+        word = int.from_bytes(frame[:4], "little")  # as struct can_frame of Linux
+        rank = rank_of(word & _IDENTIFIER, extended=bool(word & _EXTENDED))
         count, longest = seen.get((rank, is_own), (0, 0))
-        seen[rank, is_own] = count + 1, max(longest, len(data_of(frame)))
+        length = 0 if word & _REMOTE else frame[4]
+        seen[rank, is_own] = count + 1, max(longest, length)
 
-    fd = bool(getattr(link, "protocol", CanProtocol.CAN_20) is not CanProtocol.CAN_20)
+    protocol = getattr(getattr(link, "protocol", None), "name", _CLASSICAL)
+    fd = protocol != _CLASSICAL
     listening = bench.runtime.listen(link, on_frame, fd=fd)
     begun_ns = bench.runtime.now_ns()
     move(bench, motor, long_move(bench))

@@ -156,7 +156,7 @@ class Epoll:
 
     @property
     def closed(self) -> bool:
-        """Whether it is closed."""
+        """True once it is closed."""
         return self._epoll.closed
 
     def close(self) -> None:
