@@ -80,6 +80,7 @@ def test_vendor_drive_is_not_accused(tmp_path, shared, file):
 ONCE_ACCUSED = [
     ("slow SDO server", "LEAD-02", 1),  # its argument ran away while the drive started
     ("quirk heartbeat_jitter", "HOME-03", 4),  # the first heartbeat came after the first reading
+    ("no heartbeat consumer", "PROC-11", 1),  # a reader tried to write the object that it lacks
     ("brakes gently", "TIME-01", 6),  # of a load whose least urgent message waits very long
 ]
 

@@ -47,6 +47,10 @@ _NO_RPDOS = [
 _CIA402 = (RIGS / "cia402.toml").read_text()
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402)}
 VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
+VARIANTS["no heartbeat consumer"] = [
+    *of_drive(f'eds = "{_without("1016")}"'),
+    (_SEEKING, _WITHOUT_CONSUMER),
+]
 VARIANTS["position limits in the drive"] = of_drive(
     'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
 )

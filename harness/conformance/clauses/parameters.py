@@ -14,6 +14,7 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     expect_raises,
+    failure_of,
     finish,
     follow,
     long_move,
@@ -87,6 +88,10 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
     if not all(hasattr(own, name) for name in names):
         raise NotApplicable("its parameters are not those of a CiA 402 drive")
     hardware = _hardware_of(motor)
+    for index in _WINDOWS:
+        error = failure_of(partial(hardware.read, index))
+        if error is not None:
+            raise NotApplicable(f"the drive lacks {index:04X}h: {error}")
     begin, begin_inc = motor.position(), hardware.read(_POSITION)
     before = _read_in_motion(bench, motor, hardware, way)
     per_unit = abs((hardware.read(_POSITION) - begin_inc) / (motor.position() - begin))

@@ -13,7 +13,7 @@ from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.objects import ObjectTable, Value
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel, decode_answer
 from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
-from motorhil.motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
 from motorhil.motorapi.runtime.api import ChangeCounter
@@ -257,16 +257,22 @@ class CanopenNode:
     ) -> None:
         """Write `value` in `size` bytes unless the object holds it.
 
-        A refusal is added to `limitations`: "it does not let us set `meaning`".
+        A refusal is added to `limitations`: "it does not let us set `meaning`". An object that the
+        drive lacks is of no use to write: another owner of the drive does not hinder that.
         """
         index, subindex = place
-        if self.read_optional(index, subindex) == value:
+        found = self.read_optional(index, subindex)
+        if found == value:
             return
         data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
         try:
             self.sdo.download(index, subindex, data)
         except SdoAborted as error:
             limitations.append(f"it does not let us set {meaning} ({error})")
+        except MotorBusyError:
+            if found is not None:
+                raise
+            limitations.append(f"it does not let us set {meaning} (it lacks the object)")
 
     # --- objects ---------------------------------------------------------------------------
 
