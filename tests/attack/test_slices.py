@@ -243,7 +243,7 @@ def instead(value):
         ("cia402", 0, Motor, "fault", instead(lambda motor: {}["a bug"]), "a bug"),
         ("mit", 1, Frames, "answer", of_any_motor, "latest position"),
         ("mit", 2, Frames, "answer", of_any_length, "latest position"),
-        ("robstride", 6, RobstrideFrames, "answers", of_any_host, "latest position"),
+        ("robstride", 0, RobstrideFrames, "answers", of_any_host, "latest position"),
         ("robstride", 0, RobstrideFrames, "answer", of_any_length, "latest position"),
         ("moteus", 1, moteus, "_HEADS", instead(ANY), "position"),
         ("rmd", 3, RmdHwMotor, "_on_answer", of_any_length, "latest position"),
