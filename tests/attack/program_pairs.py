@@ -215,7 +215,6 @@ def as_parties(pair: Pair, folder: Path) -> Run:
     with Rig.open(folder / "model.toml", record=run.record) as rig:
         parties = Parties(rig, pair.plans)
         parties.wait()
-        rig.send_queued()  # as after the last of several programs
     run.lines = parties.lines
     return run
 

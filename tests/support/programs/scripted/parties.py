@@ -166,6 +166,7 @@ class Parties:
                 self._runtime.wait_for_parties(is_over)
             except UsageError:  # all wait for one another
                 self._runtime.wait_for_parties(is_over)
+            self._rig.send_queued()
         self._runtime._waiters.extend(self._abandoned)  # ended when the rig is closed
 
     @contextmanager
