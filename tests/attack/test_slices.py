@@ -471,12 +471,11 @@ def without_a_choice(wait):
     [
         (2, SharedClock, "await_programs", with_names_reversed, "the model has"),
         (5, SharedClock, "departed", without_a_reason, "expected"),
-        (23, SharedClock, "look_for_deaths", instead(lambda clock: None), "the model has"),
         (2, Participant, "_wait", with_late_deadlines, "the model has"),
         (3, Participant, "_holds", without_a_choice, "the model has"),
         (14, _Process, "await_end", instead(lambda process: None), "expected|the model has"),
     ],
-    ids=["ties", "not told", "told late", "1 ns late", "no look", "lock kept"],
+    ids=["ties", "not told", "1 ns late", "no look", "lock kept"],
 )
 def test_fault_of_the_shared_clock_is_found(attempt, owner, name, plant, told, monkeypatch):
     monkeypatch.setattr(owner, name, plant(getattr(owner, name)))

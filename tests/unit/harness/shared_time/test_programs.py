@@ -212,6 +212,40 @@ def test_lock_of_program_that_has_left_is_free_at_that_time(run, tmp_path):
     assert lines == ["one: has it at 0", "two: has it at 1000000000"]
 
 
+VICTIM = """
+import os, motorhil
+from motorhil.motorapi.locking.process_lock import ProcessLock
+rig = motorhil.join()
+hold = ProcessLock("it", "it", runtime=rig.runtime).acquire(rig.runtime, "a test", 100.0)
+with open("pid", "w") as file:
+    file.write(str(os.getpid()))
+rig.runtime.run_for(10.0)
+"""
+KILLER = """
+import os, motorhil
+from motorhil.motorapi.locking.process_lock import ProcessLock
+rig = motorhil.join()
+rig.runtime.run_for(1.0)
+victim = int(open("pid").read())
+os.kill(victim, 9)
+while open(f"/proc/{victim}/stat").read().rpartition(")")[2].split()[0] != "Z":
+    pass
+hold = ProcessLock("it", "it", runtime=rig.runtime).acquire(rig.runtime, "a test", 100.0)
+print("has it at", rig.runtime.now_ns(), flush=True)
+rig.runtime.run_for(1.0)
+print("goes on")
+"""
+
+
+def test_death_of_a_waiting_program_is_noted_at_that_time(run, tmp_path):
+    (tmp_path / "victim.py").write_text(VICTIM)
+    (tmp_path / "killer.py").write_text(KILLER)
+    lines, wrong = run(program("one", "python", "victim.py"), program("two", "python", "killer.py"))
+    assert wrong == {"one": "ended by SIGKILL"}
+    left = "program one: has left the rig: its connection has ended"
+    assert lines == ["two: has it at 1000000000", left, "two: goes on"]
+
+
 def test_program_that_may_leave_is_no_failure(run):
     source = "import os, time; time.sleep(0.01); os.kill(os.getpid(), 9)"
     _, wrong = run(
