@@ -117,11 +117,14 @@ class Programs:
         """Return the name of the port by which the program of this motor sends."""
         return _PORTS[self._is_second(motor)]
 
-    def bus(self, name: str) -> EmulatedBus:
-        """Return the first program's connection to a CAN bus."""
-        link = self._link(False, name)
-        assert isinstance(link, EmulatedBus)  # a line has no frames
-        return link
+    @property
+    def runtime(self) -> ProgramRuntime:
+        """The runtime of the first program."""
+        return self._runtimes[0]
+
+    def link(self, bus: str) -> Link:
+        """Return the first program's connection to a bus or line."""
+        return self._link(False, bus)
 
     def _motor(self, name: str) -> "Motor":
         second = self._is_second(name)

@@ -37,9 +37,8 @@ from motorhil.motorapi.ownership.claim import LockAction
 from motorhil.settings import declaration
 
 if TYPE_CHECKING:  # a first verdict needs no decoder
+    from motorhil.harness.conformance.benches.programs import Link
     from motorhil.harness.conformance.verdicts.observation import Observation
-    from motorhil.harness.python_can.bus import EmulatedBus
-    from motorhil.harness.python_can.line import EmulatedLine
     from motorhil.traces.decoding.narrative import BusMessage
 
 SECOND_USER: Final = "another"
@@ -242,13 +241,15 @@ class RigBench:
     def afresh(self) -> None:
         """Switch everything off and on again, unless all is new: `motors` are new and unused."""
         if self._is_used or self.runtime.now_ns() > 0:
-            self._switch_off()
-            self._switch_on()
+            self._restart()
 
     def apart(self) -> None:
         """Switch everything off and on again; other users are of another program from now on."""
-        self._switch_off()
         self._is_apart = True
+        self._restart()
+
+    def _restart(self) -> None:
+        self._switch_off()
         self._switch_on()
 
     # --- motors under test ----------------------------------------------------------------
@@ -327,12 +328,10 @@ class RigBench:
         return Stated(declaration(of), values)
 
     @property
-    def link(self) -> "EmulatedBus | EmulatedLine | None":
+    def link(self) -> "Link | None":
         """The bus or line of the motor under test, or None."""
         bus = self._description.motors[self.facts.motors[0]].bus
-        if bus is None:
-            return None
-        return self.rig.line(bus) if self._description.buses[bus].is_line else self.rig.bus(bus)
+        return None if bus is None else self._link_of(bus)
 
     def build(self, settings: Mapping[str, object], model: MotorModel | None = None) -> Motor:
         """Return a further motor in the place of the motor under test, with these settings."""
@@ -340,7 +339,8 @@ class RigBench:
         name = self.facts.motors[0]
         known = read_models(self._description)[name] if model is None else model
         build = named(ADAPTATIONS, self._description.motors[name].adaptation).load()
-        built: Motor = build(self.link, settings, known, self.runtime)
+        runtime = self.runtime if self._programs is None else self._programs.runtime
+        built: Motor = build(self.link, settings, known, runtime)
         return built
 
     def _settings(self) -> dict[str, object]:
@@ -370,16 +370,13 @@ class RigBench:
         if place is not None:
             settings = {**controllers[place].settings, **drive}
             controllers[place] = replace(controllers[place], node_id=address, settings=settings)
-        self._reopen(replace(before, motors=motors, controllers=controllers))
+        self._description = replace(before, motors=motors, controllers=controllers)
+        self._restart()
         try:
             yield
         finally:
-            self._reopen(before)
-
-    def _reopen(self, description: RigDescription) -> None:
-        self.rig.close()
-        self._description = description
-        self._switch_on()
+            self._description = before
+            self._restart()
 
     # --- observations and actions ---------------------------------------------------------
 
@@ -489,7 +486,9 @@ class RigBench:
             if (
                 motor is None and not skip
             ):  # the host may have nothing to send now; no node receives this
-                self._first_link(self._bus(struck)).transmit(pack(_UNUSED_ID))
+                link = self._link_of(self._bus(struck))
+                assert isinstance(link, EmulatedBus)  # a line has no frames
+                link.transmit(pack(_UNUSED_ID))
             yield lost
 
     @contextmanager
@@ -647,9 +646,11 @@ class RigBench:
 
     # --- helpers --------------------------------------------------------------------------
 
-    def _first_link(self, bus: str) -> EmulatedBus:
-        """Return the connection by which the motors under test send on a CAN bus."""
-        return self.rig.bus(bus) if self._programs is None else self._programs.bus(bus)
+    def _link_of(self, bus: str) -> "Link":
+        """Return the connection by which the motors under test send on a bus or line."""
+        if self._programs is not None:
+            return self._programs.link(bus)
+        return self.rig.line(bus) if self._description.buses[bus].is_line else self.rig.bus(bus)
 
     def _controller(self, motor: Motor) -> str:
         controller = self._description.motors[physical_name(motor)].controller
