@@ -6,6 +6,7 @@ import pytest
 
 from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+from motorhil.harness.conformance.benches.variations import APART
 from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.job import Job
@@ -91,6 +92,7 @@ def test_variant_once_accused_passes(tmp_path, name, clause, seed):
 
 
 OTHERS_ONCE_ACCUSED = [
+    *(("cia402", APART, one) for one in ("OPT-03", "OPT-04", "FIT-01")),  # left open
     ("moteus", "starts at 5 rad", "LIM-01"),  # its limit is rounded up: it was refused the way back
     ("oriental_az", "AZ drive keeps its trigger", "PROC-14"),  # it ignored the stop of a program
     ("leadshine", "Leadshine drive options", "SYNC-09"),  # told late, it stopped where it arrives

@@ -6,7 +6,9 @@ from pathlib import Path
 
 from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.variations import (
+    APART,
     OWN,
+    READ,
     VARIATIONS,
     Change,
     applicable,
@@ -34,7 +36,7 @@ def _without(*objects: str) -> Path:
     pattern = "|".join(objects)
     sections = re.split(r"(?m)^(?=\[)", text)
     kept = [one for one in sections if not re.match(rf"\[(?:{pattern})(?:sub\w+)?\]", one)]
-    path = Path(_FOLDER.name, "without.eds")
+    path = Path(_FOLDER.name, f"without_{'_'.join(objects)}.eds")
     path.write_text(re.sub(rf"(?m)^\d+=0x(?:{pattern})\n", "", "".join(kept)))
     return path
 
@@ -45,7 +47,8 @@ _NO_RPDOS = [
     (_SEEKING, f"{_SEEKING}\n[conformance.without]\n{_BY_SDO}"),
 ]
 _CIA402 = (RIGS / "cia402.toml").read_text()
-VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402)}
+_PROGRAMS = (READ, APART)  # no change of the rig: benches that run further programs
+VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402) if name not in _PROGRAMS}
 VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
 VARIANTS["no heartbeat consumer"] = [
     *of_drive(f'eds = "{_without("1016")}"'),
@@ -59,9 +62,13 @@ BENCHES = {
     for kind in KINDS
     if kind != "cia402"
 }
-"""The benches of all other kinds: as they are, and varied."""
+BENCHES["cia402"] = _PROGRAMS
+"""The benches of all other kinds, as they are and varied, and those with further programs."""
 OTHERS = [
-    (kind, name) for kind in ("dynamixel", "mit", "robstride") for name in BENCHES[kind] if name
+    (kind, name)
+    for kind in ("cia402", "dynamixel", "mit", "robstride")
+    for name in BENCHES[kind]
+    if name
 ]
 VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
