@@ -23,7 +23,13 @@ from motorhil.harness.plugins import (
     named,
 )
 from motorhil.harness.python_can.bus import EmulatedBus
-from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription, address_key
+from motorhil.harness.rig.config.buses import (
+    ADDRESS_KEYS,
+    MODBUS_TCP,
+    SERIAL,
+    BusDescription,
+    address_key,
+)
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.derived import with_timing
 from motorhil.harness.rig.config.faults import HOST
@@ -73,7 +79,6 @@ _SWITCHED: Final = (
     *("leadshine_pr", "oriental_az"),
 )
 """Kinds of controllers whose stimulus `power` switches all of them off and on."""
-_ADDRESSES: Final = ("node_id", "unit")
 _POWER_S: Final = 0.05
 """Time without power of a restarted drive [s]."""
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
@@ -359,12 +364,12 @@ class RigBench:
         before, name = self._description, self.facts.motors[0]
         motors, controllers = dict(before.motors), dict(before.controllers)
         address = motors[name].node_id
-        for key in _ADDRESSES:
+        for key in ADDRESS_KEYS:
             told = drive.get(key)
             address = told if isinstance(told, int) else address
         for one in (name, f"{name}-{SECOND_USER}"):
             own = {**motors[one].settings, **motor}
-            own = {key: own[key] for key in own if key not in _ADDRESSES}
+            own = {key: own[key] for key in own if key not in ADDRESS_KEYS}
             motors[one] = replace(motors[one], node_id=address, settings=own)
         place = motors[name].controller
         if place is not None:

@@ -91,6 +91,12 @@ def position_of(bench: RigProtocol, motor: Motor) -> float:
     return motor.position()
 
 
+def prepare(motor: Motor, way: float, duration_s: float | None = None) -> None:
+    """Set up the trajectory of the next start."""
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
+
+
 def follow(
     motor: Motor,
     trajectory: TrapezoidalTrajectory | ComplexTrajectory,

@@ -29,6 +29,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     move,
     pair_of,
     position_of,
+    prepare,
     reached,
     rest_for,
     shortest_s,
@@ -37,7 +38,6 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
-    ControlMode,
     MotionInterrupted,
     Motor,
     MotorBusyError,
@@ -64,12 +64,6 @@ def _both(bench: RigProtocol) -> tuple[Motor, Motor]:
     """Return the motor and that of the other program."""
     bench.apart()
     return bench.motor, bench.another_user_of(bench.motor)
-
-
-def _prepare(motor: Motor, way: float, duration_s: float | None = None) -> None:
-    """Set up the trajectory of the next start."""
-    motor.set_control_mode(ControlMode.TRAJECTORY)
-    motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
 
 
 def _refusal_of(operation: Callable[[], object], what: str) -> MotorBusyError:
@@ -122,8 +116,8 @@ def program_leaves_motor_of_other_program_alone(bench: RigProtocol) -> None:
         (motor, other, 2.0 * usual_s),  # as before, although another program has had it
     ):
         before = position_of(bench, user)
-        _prepare(user, way, duration_s)
-        _prepare(stranger, -0.5 * way)
+        prepare(user, way, duration_s)
+        prepare(stranger, -0.5 * way)
         user.start()
         begun_ns = bench.runtime.now_ns()
         rest_for(bench, 0.3 * duration_s)
@@ -179,7 +173,7 @@ def program_that_lost_motor_sends_nothing(bench: RigProtocol) -> None:
                 isinstance(error, MotionInterrupted) and "on demand" in error.by,
                 f"{what}: its wait ended with {error!r}; expected the takeover",
             )
-            _prepare(motor, 0.1 * way)
+            prepare(motor, 0.1 * way)
             _expect_all_refused(bench, motor, "after a takeover by another program")
             move(bench, other, -0.25 * way)
             expect_moved(bench, other, before, -0.25 * way, f"{what}: {other.name} moves it")
@@ -203,7 +197,7 @@ def unused_lease_passes_to_other_program(bench: RigProtocol) -> None:
     move(bench, motor, 0.1 * way)
     with motor.reserve("survey", lease_s=_LEASE_S) as survey:
         duration_s = max(4.0 * _LEASE_S, _SLOW * shortest_s(motor, way))
-        _prepare(motor, way, duration_s)
+        prepare(motor, way, duration_s)
         motor.start()
         refused: list[str] = []
 
@@ -225,7 +219,7 @@ def unused_lease_passes_to_other_program(bench: RigProtocol) -> None:
             expect(not survey.is_held, "is_held is True after the lease was over and taken")
             expect("lease" in (survey.lost_to or ""), f"lost to {survey.lost_to}")
             before = position_of(bench, motor)
-            _prepare(motor, way)
+            prepare(motor, way)
             _expect_all_refused(bench, motor, "after its lease was over")
             expect_unmoved(bench, motor, before, "commanded after its lease was over")
     _leave(bench, other)
@@ -278,7 +272,7 @@ def waiting_program_gets_motor_in_turn(bench: RigProtocol) -> None:
     before = position_of(bench, motor)
     move(bench, motor, way)
     motor.disable()
-    _prepare(other, way)
+    prepare(other, way)
     with motor.low_level():
         for wait_s in (None, _LEASE_S):
             begun_ns = bench.runtime.now_ns()
@@ -442,7 +436,7 @@ def groups_of_programs_take_turns(bench: RigProtocol) -> None:
         for _ in range(_ROUNDS):
             with group.reserve(name, timeout_s=_PATIENCE_S):
                 for motor in group:
-                    _prepare(motor, way)
+                    prepare(motor, way)
                 group.start()
                 made.append(name)
                 finish_group(bench, group)

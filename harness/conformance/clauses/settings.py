@@ -27,6 +27,7 @@ from motorhil.harness.conformance.clauses.motion.measurements import (
     expect_true_torque,
     expect_true_velocity,
 )
+from motorhil.harness.rig.config.buses import ADDRESS_KEYS
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DeadlineExceeded,
@@ -58,7 +59,6 @@ _SETTLED_S: Final = 0.5
 _UP: Final = 1.25
 _FURTHER: Final = 0x20
 _ASIDE: Final = 16
-_ADDRESSES: Final = ("node_id", "unit")
 
 
 def _stated(bench: RigProtocol) -> Stated:
@@ -158,7 +158,7 @@ def _expect_ends(bench: RigProtocol, stated: Stated, unit: str) -> None:
     """Expect the ends of each range to be accepted, or refused beside another setting."""
     names = stated.declaration.names(unit)
     values = dict(stated.values)
-    for key in _ADDRESSES:  # another place, since the bench has a motor in its own
+    for key in ADDRESS_KEYS:  # another place, since the bench has a motor in its own
         address = values.get(key)
         if isinstance(address, int):
             values[key] = address + _ASIDE
@@ -308,7 +308,7 @@ def _expect_shared(bench: RigProtocol, motor: Motor, hardware: Any, stated: Stat
         if key == "name" or not isinstance(kind, Number) or not isinstance(value, int | float):
             continue
         other = value + 1 if kind.is_whole else _UP * value
-        if other == value or not _takes(kind, other) or key in _ADDRESSES:
+        if other == value or not _takes(kind, other) or key in ADDRESS_KEYS:
             continue
         error = _refusal(bench, {**stated.values, key: other})
         expect(

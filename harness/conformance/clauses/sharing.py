@@ -24,6 +24,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     midway_s,
     move,
     position_of,
+    prepare,
     reached,
     rest_for,
     shortest_s,
@@ -35,7 +36,6 @@ from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
-    ControlMode,
     MotionInterrupted,
     Motor,
     MotorBusyError,
@@ -77,7 +77,7 @@ def moving_motor_refuses_other_user(bench: RigProtocol) -> None:
     follow(motor, TrapezoidalTrajectory(way))
     begun_ns = bench.runtime.now_ns()
     rest_for(bench, 0.3 * shortest_s(motor, way))
-    _prepare(other, -0.5 * way)
+    prepare(other, -0.5 * way)
     for operation in (other.start, other.enable, other.disable, other.reset_fault, other.home):
         error = _refusal_of(operation)
         expect(
@@ -95,12 +95,6 @@ def moving_motor_refuses_other_user(bench: RigProtocol) -> None:
     other.start()  # the motor is free at once
     finish(bench, other, shortest_s(motor, way))
     expect_moved(bench, motor, before, -0.5 * way, f"then started by {other.name}")
-
-
-def _prepare(motor: Motor, way: float, duration_s: float | None = None) -> None:
-    """Set up the trajectory of the next start."""
-    motor.set_control_mode(ControlMode.TRAJECTORY)
-    motor.set_trajectory(TrapezoidalTrajectory(way, duration_s=duration_s))
 
 
 def _refusal_of(operation: Callable[[], object]) -> MotorBusyError | None:
@@ -127,7 +121,7 @@ def refused_user_sends_no_command(bench: RigProtocol) -> None:
         rest_for(bench, 0.1)
         with bench.commands_to(motor) as usual:
             rest_for(bench, 0.1)
-        _prepare(other, long_move(bench))
+        prepare(other, long_move(bench))
         with bench.commands_to(motor) as new:
             for operation in (other.start, other.enable, other.disable, other.home):
                 expect(_refusal_of(operation) is not None, f"{operation.__name__}() was accepted")
@@ -191,8 +185,8 @@ def each_user_keeps_own_settings(bench: RigProtocol) -> None:
     durations = {motor: 2.0 * least_s, other: 4.0 * least_s}
     for user, side in ((motor, 1.0), (other, -1.0), (motor, 1.0), (other, -1.0)):
         before = position_of(bench, motor)
-        _prepare(user, side * way, durations[user])
-        _prepare(motor if user is other else other, 0.5 * way)  # never started
+        prepare(user, side * way, durations[user])
+        prepare(motor if user is other else other, 0.5 * way)  # never started
         user.start()
         took_s = finish(bench, user, durations[user])
         expect(
@@ -213,7 +207,7 @@ def reservation_lasts_for_its_block(bench: RigProtocol) -> None:
     """During its block, and no longer, a reservation keeps other users away."""
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
-    _prepare(other, way)
+    prepare(other, way)
     with motor.reserve("survey") as reservation:
         for _ in range(2):
             move(bench, motor, way)
@@ -228,7 +222,7 @@ def reservation_lasts_for_its_block(bench: RigProtocol) -> None:
     with suppress(ZeroDivisionError), motor.reserve("survey"):
         raise ZeroDivisionError
     _expect_free(bench, other, "after a block left by an error")
-    _prepare(motor, 0.0)
+    prepare(motor, 0.0)
     with suppress(MotorError), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns that nothing was started
         motor.wait_until_done(0.0)
@@ -276,7 +270,7 @@ def users_are_served_in_order(bench: RigProtocol) -> None:
     follow(motor, TrapezoidalTrajectory(way))
 
     def start_next() -> None:
-        _prepare(other, -way)
+        prepare(other, -way)
         other.start(timeout_s=_PATIENCE_S)
         served.append(other.name)
         other.wait_until_done(_PATIENCE_S)
@@ -310,7 +304,7 @@ def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
         with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
             expect_rest(bench, motor, f"taken over by {other.name}")
             expect(not survey.is_held, "is_held is True after a takeover")
-            _prepare(motor, long_move(bench))
+            prepare(motor, long_move(bench))
             before = position_of(bench, motor)
             for operation in (motor.start, motor.enable, motor.disable, motor.home):
                 error = _refusal_of(operation)
@@ -357,7 +351,7 @@ def low_level_access_refuses_other_users(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     way = 0.1 * long_move(bench)
     move(bench, motor, way)
-    _prepare(other, way)
+    prepare(other, way)
     try:
         with motor.low_level():
             pass
@@ -708,7 +702,7 @@ def refusal_names_who_is_next(bench: RigProtocol) -> None:
     follow(motor, TrapezoidalTrajectory(way))
 
     def start_next() -> None:
-        _prepare(other, -way)
+        prepare(other, -way)
         other.start(timeout_s=_PATIENCE_S)
 
     party = bench.runtime.spawn("next", start_next)
@@ -746,7 +740,7 @@ def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
         party = None
         if share is not None:
             party = bench.runtime.spawn("stop", partial(_stop_after, bench, other, share * usual_s))
-        _prepare(motor, way)
+        prepare(motor, way)
         error = failure_of(motor.start)
         if party is None:
             usual_s = elapsed_s(bench, begun_ns)

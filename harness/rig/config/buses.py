@@ -405,6 +405,10 @@ def refuse_shared_addresses(source: Source, buses: Mapping[str, BusDescription])
             )
 
 
+ADDRESS_KEYS: Final = ("node_id", "unit")
+"""The keys of addresses, of which a bus has one."""
+
+
 def address_key(bus: BusDescription) -> str:
     """Return the key of the address of this bus's controllers."""
     return "unit" if bus.is_line else "node_id"
