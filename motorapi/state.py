@@ -1,5 +1,6 @@
 """State, fault and last measurement of a motor."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, final
@@ -33,6 +34,11 @@ class Fault:
 
     def __repr__(self) -> str:
         return f"<Fault {self.code:04X}h ({self.text}) since {self.since_ns / 1e9:.6f} s>"
+
+
+def texts_of(bits: int, texts: Mapping[int, str]) -> str:
+    """Return the texts of the bits that are set in an error."""
+    return ", ".join(text for bit, text in texts.items() if bits & bit) or "unknown error"
 
 
 @final

@@ -11,12 +11,7 @@ other modules of motorhil may change at any time.
 """
 
 from motorhil.motorapi.api.can_drive import CanDrive, SignOfLife, checked_node
-from motorhil.motorapi.api.can_hardware import (
-    CanHardware,
-    Estimate,
-    StreamedCanHardware,
-    texts_of,
-)
+from motorhil.motorapi.api.can_hardware import CanHardware, Estimate, StreamedCanHardware
 from motorhil.motorapi.api.can_motor import (
     CanBuilder,
     CanMotor,
@@ -70,7 +65,7 @@ from motorhil.motorapi.ownership.fencing import BoundFence
 from motorhil.motorapi.planning.sampling import Ramps, demand_of
 from motorhil.motorapi.runtime.api import Registration, Runtime, wait_until
 from motorhil.motorapi.runtime.can_link import Transmission as SentFrame
-from motorhil.motorapi.state import Fault, Measurement, MotorState
+from motorhil.motorapi.state import Fault, Measurement, MotorState, texts_of
 from motorhil.motorapi.synchronization.bus_load import PeriodicMessage
 from motorhil.motorapi.synchronization.offer import SyncOffer, Trigger
 from motorhil.motorapi.synchronization.quality import MotionTimes, SyncLevel

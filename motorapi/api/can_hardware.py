@@ -5,7 +5,7 @@ what must be known before a command. `StreamedCanHardware` is for drives to whic
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, ClassVar, Final, Generic, NamedTuple, TypeVar
 
 from motorhil.motorapi.api.can_drive import CanDrive, checked_node
@@ -141,11 +141,6 @@ class CanHardware(ABC, Generic[OptionsT]):
         self.drive.connect(self.is_up, self._greet, self.CONNECT_S, self.LACKS)
         self._connected()
         self._is_connected = True
-
-
-def texts_of(bits: int, texts: Mapping[int, str]) -> str:
-    """Return the texts of the bits that are set in an error."""
-    return ", ".join(text for bit, text in texts.items() if bits & bit) or "unknown error"
 
 
 class Estimate(NamedTuple):
