@@ -60,7 +60,7 @@ class _Arena:
             return
         status = 1
         try:
-            _die_with(arena)
+            die_with(arena)
             if self.plant is not None:
                 self.plant(self.folder)
             self.work(Desk(self.folder, self.plan, number, self.page, self.log))
@@ -155,8 +155,8 @@ class _Arena:
             os.close(watch)
 
 
-def _die_with(parent: int) -> None:
-    """Have this process killed when the arena dies in any way, even while it is paused."""
+def die_with(parent: int) -> None:
+    """Have this process killed when its parent dies in any way, even while it is paused."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)

@@ -10,22 +10,23 @@ the reason.
 """
 
 import argparse
-import ctypes
 import os
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+
+from motorhil.harness.sharing_tests.arena import die_with
 
 NO_WAY = 125
 CAN_MODULES = ("net/can/can", "net/can/can-raw", "net/can/can-bcm", "drivers/net/can/dev/can-dev")
 VCAN_MODULE = "drivers/net/can/vcan"
-NAMESPACES = (["unshare", "--net"], ["unshare", "--map-root-user", "--net"])
+NAMESPACES = (["unshare"], ["unshare", "--map-root-user"])
 PROCESSES = ("--pid", "--fork", "--kill-child")  # a guest has several, which end together
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 class NoWayError(Exception):
@@ -41,19 +42,20 @@ def interfaces_up(ip: str, count: int) -> str:
     return " && ".join(lines)
 
 
-def native_prefix() -> list[str] | None:
-    """Return the command prefix of a network namespace with vcan, if this kernel has it."""
-    if shutil.which("unshare") is None or shutil.which("ip") is None:
+def namespace_prefix(options: Sequence[str], probe: Sequence[str]) -> list[str] | None:
+    """Return the command prefix of a namespace in which the probe succeeds, or None."""
+    if shutil.which("unshare") is None or shutil.which(probe[0]) is None:
         return None
-    for prefix in NAMESPACES:
-        probe = subprocess.run(
-            [*prefix, "ip", "link", "add", "dev", "vcan0", "type", "vcan"],
-            capture_output=True,
-            check=False,
-        )
-        if probe.returncode == 0:
+    for way in NAMESPACES:
+        prefix = [*way, *options]
+        if subprocess.run([*prefix, *probe], capture_output=True, check=False).returncode == 0:
             return prefix
     return None
+
+
+def native_prefix() -> list[str] | None:
+    """Return the command prefix of a network namespace with vcan, if this kernel has it."""
+    return namespace_prefix(["--net"], ["ip", "link", "add", "dev", "vcan0", "type", "vcan"])
 
 
 def cache_folder() -> Path:
@@ -124,23 +126,6 @@ while :; do $bb sleep 1; done
 """
 
 
-def ending_together() -> list[str]:
-    """Return a prefix that ends all processes of a command with its first one, if there is one."""
-    for way in (["unshare"], ["unshare", "--map-root-user"]):
-        prefix = [*way, *PROCESSES]
-        if (
-            shutil.which("unshare")
-            and subprocess.run([*prefix, "true"], check=False, capture_output=True).returncode == 0
-        ):
-            return prefix
-    return []
-
-
-def end_with_parent() -> None:
-    """Let the kernel end this process when its parent ends, however that ends."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
 def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
     """Return the command's exit status from a User Mode Linux guest on this machine's files."""
     uml = unpacked("user-mode-linux")
@@ -164,7 +149,7 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
             (run / name).chmod(0o755)
         subprocess.run(
             [
-                *ending_together(),
+                *(namespace_prefix(PROCESSES, ["true"]) or ()),
                 str(kernel),
                 f"mem={memory_mib}M",
                 "root=/dev/root",
@@ -185,7 +170,7 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
             stderr=subprocess.DEVNULL,
             env={**os.environ, "TMPDIR": "/dev/shm" if os.access("/dev/shm", os.W_OK) else "/tmp"},
             check=False,
-            preexec_fn=end_with_parent,
+            preexec_fn=partial(die_with, os.getpid()),
         )
         for name, stream in (("out", sys.stdout), ("err", sys.stderr)):
             if (run / name).is_file():
