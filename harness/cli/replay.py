@@ -231,8 +231,9 @@ def replay_as_device(options: argparse.Namespace) -> int:
     Raises:
         RigError: the recording, the rig or the script cannot be used.
     """
-    from motorhil.harness.cli.run import read_script, run_judged
+    from motorhil.harness.cli.run import run_judged
     from motorhil.harness.rig.rig import Rig
+    from motorhil.harness.rig.script import read_script
 
     words = [*options.args, *(options.rest or ())]
     script = None if options.script is None else read_script(options.script)

@@ -11,7 +11,6 @@ from typing import Final, TypeVar, final
 
 import pytest
 
-from motorhil.harness.cli.run import is_on_purpose, is_own_file
 from motorhil.harness.pytest_plugin.options import (
     OPENED,
     OWN_NAMES,
@@ -23,6 +22,7 @@ from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName, Rig, describe
+from motorhil.harness.rig.script import is_on_purpose, is_own_file
 from motorhil.traces.errors import TraceError
 
 T = TypeVar("T")
