@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig as Rig
     from motorhil.harness.shared_time.remote_rig import join as join
+    from motorhil.harness.swarm.properties import always as always
+    from motorhil.harness.swarm.properties import sometimes as sometimes
 
-_HOMES = {"Rig": "motorhil.harness.rig.rig", "join": "motorhil.harness.shared_time.remote_rig"}
+_HOMES = {
+    "Rig": "motorhil.harness.rig.rig",
+    "always": "motorhil.harness.swarm.properties",
+    "join": "motorhil.harness.shared_time.remote_rig",
+    "sometimes": "motorhil.harness.swarm.properties",
+}
 
 
 def __getattr__(name: str) -> object:

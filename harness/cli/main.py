@@ -94,6 +94,13 @@ _VERBS: Final = (
         is_terminal=True,
     ),
     _Verb(
+        "swarm",
+        "run a program in many disturbed worlds, and keep what breaks it",
+        "motorhil.harness.cli.swarm",
+        takes_rest=True,
+        is_terminal=True,
+    ),
+    _Verb(
         "judge",
         "judge a recording by rules that every recording must meet",
         "motorhil.harness.cli.judge",

@@ -535,6 +535,8 @@ class Rig:
             if record is not None:
                 self._record(record, started, truths, cleanup)
             self.runtime: VirtualRuntime = VirtualRuntime(queue, WallPace() if realtime else None)
+            if description.world.interleaving is not None:
+                self.runtime.interleave(Random(f"{description.world.interleaving}:turns").randrange)
             cleanup.enter_context(interrupts_between_events(self.runtime))
             self._open_door(cleanup)
             self._cleanup = cleanup.pop_all()
@@ -558,6 +560,7 @@ class Rig:
         seed: int | None = None,
         realtime: bool = False,
         record: str | Path | None = None,
+        world: str | Path | None = None,
     ) -> Self:
         """Open the rig of a file, switched on at time 0.
 
@@ -566,13 +569,14 @@ class Rig:
             seed: overrides the rig's own seed.
             realtime: True to run no faster than the wall clock.
             record: an MCAP file for the recording.
+            world: a fragment of `motorhil swarm`, with the disturbances of one of its worlds.
 
         Raises:
             RigError: the rig cannot be used as it is written; nothing is left open.
         """
         from motorhil.harness.virtual_time.stdlib.clocks import sleep_watched
 
-        description = describe(Path(path))
+        description = describe(Path(path), None if world is None else Path(world))
         if seed is not None and not 0 <= seed <= SEED_MAX:
             raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "use another seed")
         target = None if record is None else Path(record)
@@ -828,8 +832,8 @@ class Rig:
         return group
 
 
-def describe(path: Path) -> RigDescription:
-    """Read a rig file, or the rig in a recording.
+def describe(path: Path, world: Path | None = None) -> RigDescription:
+    """Read a rig file, or the rig in a recording; a rig file may have a world's fragment.
 
     Raises:
         RigError: the rig cannot be used.
@@ -838,12 +842,14 @@ def describe(path: Path) -> RigDescription:
 
     known = installed_plugins()
     if is_recording(path):
+        if world is not None:
+            raise RigError(path, "is a recording; no world disturbs it", "name a rig file")
         from motorhil.harness.replay.rig import rig_in
 
         return rig_in(path, known)
     if path.suffix == ".mcap" and path.exists():
         raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")
-    return read_rig(path, known)
+    return read_rig(path, known, world)
 
 
 def installed_plugins() -> Known:

@@ -8,7 +8,8 @@ deterministic.
 The rules of turn:
     1. At any moment exactly one thread runs: the party that has the baton.
     2. The baton changes hands only in `wait_until`, and when a party ends.
-    3. Of several waiting parties that could continue at one time, the one that waits longest does.
+    3. Of several waiting parties that could continue at one time, the one that waits longest does;
+       in an interleaved world the first one in an order that is drawn.
     4. Events at the very time of a timeout still count: events first, then the timeout.
 
 With `pace`, the wall clock is a brake: the same events happen in the same order, but none earlier
@@ -164,6 +165,7 @@ class VirtualRuntime:
         self.context: Final = BusContext()  # compiled classes have no weak references
         self._pace = pace
         self._waiters: list[Waiter] = []
+        self._draw: Callable[[int], int] | None = None
         first = VirtualParty("main", self)
         first.is_first = True
         first.ident = threading.get_ident()
@@ -173,6 +175,7 @@ class VirtualRuntime:
         self._closing = self._interrupted = False
         self._polls = self._turns = 0
         self._instant_ns = self._turns_before = 0  # as seen at the last check for signals
+        self._had_parties = False
         self.on_poll: Callable[[], None] | None = None  # called before polls
         self.on_yield: Callable[[], None] | None = None  # called before a party gives up its turn
         self.whereabouts: Callable[[VirtualParty], str] = attrgetter("name")
@@ -220,7 +223,7 @@ class VirtualRuntime:
             if self.on_yield is not None:
                 self.on_yield()
             waiter = Waiter(party, done, deadline_ns, on_parties)
-            self._waiters.append(waiter)
+            self._line_up(waiter)
             party.is_waiting = True
             try:
                 self._pump(waiter)
@@ -299,7 +302,7 @@ class VirtualRuntime:
 
     def enrol(self, party: VirtualParty) -> None:
         """Give the party a turn at the next wait of this one; its thread is in `run_party`."""
-        self._waiters.append(Waiter(party, _at_once, _NEVER))
+        self._line_up(Waiter(party, _at_once, _NEVER))
 
     def wait_elsewhere(
         self, party: VirtualParty, done: Callable[[], bool], deadline_ns: int, on_parties: bool
@@ -309,7 +312,7 @@ class VirtualRuntime:
         `deadline_ns` is -1 without a timeout. Returns the wait, which `take_turn` is called with.
         """
         waiter = Waiter(party, done, deadline_ns, on_parties)
-        self._waiters.append(waiter)
+        self._line_up(waiter)
         return waiter
 
     def withdraw(self, waiter: Waiter) -> None:
@@ -424,7 +427,23 @@ class VirtualRuntime:
             if party.error is not None and party.owes_error():
                 raise party.error
 
+    def had_parties(self) -> bool:
+        """Return True if a second party has ever waited for its turn."""
+        return self._had_parties
+
+    def interleave(self, draw: Callable[[int], int]) -> None:
+        """Draw the order of waiting parties from now on; `draw(n)` returns 0 to n - 1."""
+        self._draw = draw
+
     # --- turns -----------------------------------------------------------------------------
+
+    def _line_up(self, waiter: Waiter) -> None:
+        """Add a wait behind all others, or at a drawn place among them."""
+        self._had_parties = self._had_parties or bool(self._waiters)
+        if self._draw is None or not self._waiters:
+            self._waiters.append(waiter)
+        else:
+            self._waiters.insert(self._draw(len(self._waiters) + 1), waiter)
 
     def _party_here(self) -> VirtualParty:
         if self._in_callback:

@@ -16,6 +16,8 @@ settings of a controller or motor are checked by its builder; errors in them sti
     [[stimulus]]                controller, name, value, at_s
     [program.NAME]              command, and whether it shares the rig's time
     [conformance]               facts declared about the motors under test
+    [world]                     what one world of a swarm changes
+    [swarm]                     how the worlds of a swarm are drawn and judged
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -47,6 +49,12 @@ from motorhil.harness.rig.config.toml import (
     one_line,
     read_source,
 )
+from motorhil.harness.rig.config.worlds import (
+    UNDISTURBED,
+    WorldDescription,
+    changed,
+    read_world,
+)
 from motorhil.motorapi.model import MotorModel
 from motorhil.settings import (
     REQUIRED,
@@ -65,7 +73,7 @@ from motorhil.settings import (
 
 TOP_KEYS: Final = (
     *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "program"),
-    "conformance",
+    *("conformance", "world", "swarm"),
 )
 
 
@@ -231,6 +239,7 @@ class RigDescription:
     attached: tuple[tuple[str, str, bytes], ...] = ()
     programs: Mapping[str, ProgramDescription] = field(default_factory=dict)
     conformance: Facts = NOTHING_DECLARED
+    world: WorldDescription = UNDISTURBED
 
     @property
     def folder(self) -> Path:
@@ -267,13 +276,16 @@ class Known:
     takes_targets: bool = True
 
 
-def read_rig(path: Path, known: Known) -> RigDescription:
-    """Read the rig in a file.
+def read_rig(path: Path, known: Known, world: Path | None = None) -> RigDescription:
+    """Read the rig in a file, with the fragment of a world appended if one is given.
 
     Raises:
-        RigError: the file does not exist, or its first error.
+        RigError: a file does not exist, or the first error in them.
     """
-    return parse_rig(read_source(path, _NEW_REMEDY), known)
+    source = read_source(path, _NEW_REMEDY)
+    if world is not None:
+        source = source.with_fragment(read_source(world, "name a fragment of `motorhil swarm`"))
+    return parse_rig(source, known)
 
 
 def parse_rig(source: Source, known: Known) -> RigDescription:
@@ -284,6 +296,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
     """
     root = source.root()
     root.refuse_unknown(TOP_KEYS, "table")
+    root = changed(root)
     rig = root.table("rig").read(RigTable)
     buses = {name: read_bus(name, table) for name, table in _named(root, "bus")}
     if not buses and _needs_bus(root, known):
@@ -312,6 +325,7 @@ def parse_rig(source: Source, known: Known) -> RigDescription:
         source=source,
         programs=MappingProxyType(_programs(root, known)),
         conformance=read_facts(root.table("conformance"), tuple(motors)),
+        world=read_world(root),
     )
 
 

@@ -26,6 +26,7 @@ from motorhil.harness.rig.config.rig_file import (
 )
 from motorhil.harness.rig.config.stimuli import StimulusTable
 from motorhil.harness.rig.config.toml import NAME
+from motorhil.harness.rig.config.worlds import SwarmTable, WorldTable
 from motorhil.settings import Declaration, Schema, declaration, schema, with_definitions
 
 _PLACE: Final = ("controller", "bus", *declaration(AddressTable).keys)
@@ -55,6 +56,8 @@ def rig_schema() -> Schema:
             "stimulus": _listed(StimulusTable, "Changes of physical inputs of controllers."),
             "program": _named(name, ProgramTable, "Programs that `motorhil run RIG` starts."),
             "conformance": {"$ref": declaration(ConformanceTable)},
+            "world": {"$ref": declaration(WorldTable)},
+            "swarm": {"$ref": declaration(SwarmTable)},
         },
         "anyOf": [{"required": ["bus"]}, _without_bus()],
     }

@@ -288,8 +288,27 @@ class Source:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         self.text = text
+        self._fragment: tuple[int, Path] | None = None  # its first line, and its file
+        self._redirected: dict[KeyPath, KeyPath] = {}
         self._lines: Mapping[KeyPath, int] | None = None
         self._values: dict[str, object] | None = None
+
+    def with_fragment(self, fragment: "Source") -> "Source":
+        """Return this file with another one appended; errors name the file that they are in."""
+        text = self.text if self.text.endswith("\n") or not self.text else self.text + "\n"
+        whole = Source(self.path, text + fragment.text)
+        whole._fragment = text.count("\n") + 1, fragment.path
+        return whole
+
+    def redirect(self, path: KeyPath, to: KeyPath) -> None:
+        """Let errors of the value at `path` name the line of the value at `to`."""
+        self._redirected[path] = to
+
+    def _place(self, line: int) -> tuple[Path, int]:
+        """Return the file that has this line of the text, and the line in it."""
+        if self._fragment is None or line < self._fragment[0]:
+            return self.path, line
+        return self._fragment[1], line - self._fragment[0] + 1
 
     def root(self) -> "Table":
         """Return the whole file as a table; it is parsed once.
@@ -308,9 +327,8 @@ class Source:
             self._refuse_long_integers((), values)
         except tomllib.TOMLDecodeError as error:
             message, line = _syntax_error(str(error), self.text)
-            raise RigError(
-                self.path, f"not TOML: {message}", "see https://toml.io", line=line
-            ) from None
+            path, line = self._place(line)
+            raise RigError(path, f"not TOML: {message}", "see https://toml.io", line=line) from None
         except RecursionError:
             counts = [sum(map(line.count, "[{.")) for line in self.text.split("\n")]
             line = counts.index(max(counts)) + 1
@@ -333,15 +351,16 @@ class Source:
     def line(self, path: KeyPath) -> int:
         """Return the line of the value, or of the innermost existing table around it."""
         lines = self._lines or {}
-        while path and path not in lines:
+        while path and path not in lines and path not in self._redirected:
             path = path[:-1]
-        return lines.get(path, 1)
+        return lines.get(self._redirected.get(path, path), 1)
 
     def error(
         self, path: KeyPath, message: str, remedy: str = "", kind: type[RigError] = RigError
     ) -> RigError:
         """Return the RigError for the value at `path`."""
-        return kind(self.path, message, remedy, line=self.line(path), key=dotted(path))
+        file, line = self._place(self.line(path))
+        return kind(file, message, remedy, line=line, key=dotted(path))
 
     @contextmanager
     def with_lines(self) -> Iterator[None]:
@@ -433,10 +452,7 @@ class Table:
 
     def missing(self, key: str, remedy: str) -> RigError:
         """Return the RigError for a missing key, at the table's line."""
-        where = self.source.line(self.path)
-        return RigError(
-            self.source.path, "is missing", remedy, line=where, key=dotted((*self.path, key))
-        )
+        return self.source.error((*self.path, key), "is missing", remedy)
 
     def has(self, key: str) -> bool:
         """Return True if the key is present."""

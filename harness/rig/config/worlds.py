@@ -1,0 +1,212 @@
+"""`[world]` and `[swarm]` tables of a rig: one disturbed world, and how others are drawn.
+
+A world is a rig with disturbances: faults, stimuli, changed settings of controllers, and the order
+of parties that could continue at one instant. It is written as a fragment, TOML that is appended to
+the rig's. `motorhil swarm` draws worlds, and keeps those that fail as fragments.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+from motorhil.harness.rig.config.toml import SEED_MAX, Table
+from motorhil.settings import (
+    REQUIRED,
+    Items,
+    KeyPath,
+    Number,
+    Schema,
+    SettingError,
+    TableOf,
+    TablesByKey,
+    Text,
+    listed,
+    nearest,
+    number,
+    setting,
+    text,
+    whole,
+)
+
+WEIGHTS: Final[Mapping[str, float]] = {
+    "drop": 4.0,
+    "delay": 2.0,
+    "duplicate": 1.0,
+    "corrupt": 0.0,  # on CAN the CRC leaves one in millions of years; on lines see `lose`
+    "error": 1.0,
+    "lose": 4.0,
+    "truncate": 1.0,
+    "cut": 2.0,
+    "noise": 1.0,
+    "load": 1.0,
+    "stall": 1.0,
+    "heat": 1.0,
+    "supply": 1.0,
+    "power": 1.0,
+    "fault": 2.0,
+    "quirk": 1.0,
+    "clock": 1.0,
+    "plant": 1.0,
+    "interleaving": 1.0,
+}
+"""Kinds of disturbances, and how often each is drawn."""
+ALLOWED_ERRORS: Final = ("LinkError", "DeadlineExceeded", "DeviceFault", "MotionInterrupted")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Value:
+    """Any value; the settings that it changes check it."""
+
+    def read(self, value: object, path: KeyPath) -> object:
+        return value
+
+    def schema(self) -> Schema:
+        return {}
+
+    def example(self) -> str:
+        return "0.05"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ChangeTable:
+    """A changed setting of a controller."""
+
+    controller: str = text(REQUIRED, "The controller.", example='"left"')
+    key: str = text(
+        REQUIRED, "The setting, keys joined by dots.", example='"plant.load_inertia_kg_m2"'
+    )
+    value: object = setting(REQUIRED, _Value(), "Its value in this world.")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class WorldTable:
+    """A world: changed settings, and the order of parties."""
+
+    interleaving: int | None = whole(
+        None,
+        0,
+        SEED_MAX,
+        "",
+        "Seed of the order of parties that could continue at one instant; absent: the one that"
+        " waits longest is first.",
+        example="1",
+    )
+    change: tuple[ChangeTable, ...] = setting(
+        (), Items(TableOf(ChangeTable), unique=False), "Changed settings of controllers."
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SwarmTable:
+    """How `motorhil swarm` draws worlds, and how it judges them."""
+
+    disturbances: int = whole(4, 0, 64, "", "Disturbances of a world, at most.")
+    weights: Mapping[str, float] = setting(
+        {}, TablesByKey(Number(0.0, 1e6)), "How often each kind of disturbance is drawn; 0: never."
+    )
+    plant_tolerance: float = number(
+        0.1, 0.0, 0.9, "", "Share by which a number of a plant may differ."
+    )
+    clock_ppm: float = number(100.0, 0.0, 50_000.0, "ppm", "Largest error of a controller's clock.")
+    delay_s: float = number(0.2, 1e-6, 3600.0, "s", "Longest delay of a frame.")
+    lasting_s: float = number(
+        1.0, 1e-6, 3600.0, "s", "Longest duration of a cut, noise, load, supply or heat."
+    )
+    end_s: float | None = number(
+        None,
+        1e-3,
+        1e9,
+        "s",
+        "Simulated time after which a run has failed; absent: 60 s, and ten times as long as the"
+        " undisturbed run.",
+    )
+    allowed_errors: tuple[str, ...] = setting(
+        ALLOWED_ERRORS,
+        Items(Text(), shown='["LinkError"]'),
+        "Errors that may end the program in a disturbed world; each other exception is a failure.",
+    )
+    oracles: tuple[str, ...] = setting(
+        (), Items(Text(), shown='["limit-position"]'), "Oracles that judge; absent: a safe choice."
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse unknown kinds of disturbances (SettingError)."""
+        for kind in self.weights:
+            if kind not in WEIGHTS:
+                message = f"is no kind of disturbance (known: {listed(WEIGHTS)})"
+                raise SettingError(("weights", kind), message, nearest(kind, list(WEIGHTS)))
+
+    def weight(self, kind: str) -> float:
+        """Return how often a kind is drawn."""
+        return self.weights.get(kind, WEIGHTS[kind])
+
+
+UNDECLARED: Final = SwarmTable()
+"""A rig without `[swarm]`."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class WorldDescription:
+    """How worlds of a rig are drawn, and which one this is.
+
+    Attributes:
+        interleaving: seed of the order of parties at one instant; None: the usual order.
+        swarm: how worlds are drawn and judged.
+    """
+
+    interleaving: int | None = None
+    swarm: SwarmTable = UNDECLARED
+
+
+UNDISTURBED: Final = WorldDescription()
+"""A rig without `[world]`."""
+
+
+def read_world(root: Table) -> WorldDescription:
+    """Return the world of a rig; its changes are made by `changed`.
+
+    Raises:
+        RigError: the first error in the tables.
+    """
+    world = root.table("world").read(WorldTable)
+    return WorldDescription(world.interleaving, root.table("swarm").read(SwarmTable))
+
+
+def changed(root: Table) -> Table:
+    """Return the rig with the changes of its world; errors in a changed value name the change.
+
+    Raises:
+        RigError: a change names no controller, or no setting.
+    """
+    changes = root.table("world").listed_tables("change")
+    if not changes:
+        return root
+    controllers = root.table("controller")
+    values = root.values
+    for table in changes:
+        own = table.read(ChangeTable)
+        table.require("controller", own.controller, list(controllers.values))
+        path = ("controller", own.controller, *own.key.split("."))
+        if not all(path) or path[-1] in ("kind", "bus", "node_id", "unit"):
+            raise table.error("key", f'"{own.key}" cannot be changed', "name another setting")
+        values = _with(values, path, own.value, table)
+        root.source.redirect(path, (*table.path, "value"))
+    return Table(root.source, root.path, values)
+
+
+def _with(
+    values: Mapping[str, object], path: tuple[str, ...], value: object, table: Table
+) -> dict[str, object]:
+    """Return the values with another one at the path."""
+    key, *rest = path
+    if not rest:
+        return {**values, key: value}
+    inner = values.get(key, {})
+    if not isinstance(inner, Mapping):
+        raise table.error("key", f'"{key}" is not a table', "name a setting")
+    return {**values, key: _with(inner, tuple(rest), value, table)}

@@ -1,0 +1,159 @@
+"""Campaign: runs the seeds of a plan on an engine, lane by lane, and keeps the rows."""
+
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import replace
+from typing import Any, Final, final
+
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.swarm.engine import WorkerDied, WorkerRefused, run_chunk
+from motorhil.harness.swarm.lanes import LANES, lane_of
+from motorhil.harness.swarm.plan import Plan
+from motorhil.harness.swarm.results import Results
+from motorhil.harness.swarm.row import CANARY, Row, row_from
+
+_CHUNK_S: Final = 2.0
+"""Wall time that a chunk should take [s]."""
+_CHUNK_MAX: Final = 200
+_DEATHS_MAX: Final = 5
+OnRows = Callable[[list[Row]], None]
+
+
+@final
+class Campaign:
+    """A campaign on an engine.
+
+    Args:
+        plan: its plan, with the profile.
+        results: where rows are kept.
+        engine: where chunks run.
+        workers: number of chunks at a time.
+        guided: whether every second world mutates an earlier one.
+        part: (K, N): only lanes K - 1, K - 1 + N, ...
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        results: Results,
+        engine: Executor,
+        workers: int,
+        *,
+        guided: bool = True,
+        part: tuple[int, int] = (1, 1),
+    ) -> None:
+        self._plan = plan
+        self._table = plan.as_table()
+        self._results = results
+        self._engine = engine
+        self._workers = workers
+        self._guided = guided
+        self._part = part
+        self._chunk = 4
+        self._deaths = 0
+        self._running: dict[Future[list[str]], tuple[int, list[int], float]] = {}
+
+    def run(self, seeds: Iterable[int], on_rows: OnRows, until: float | None = None) -> None:
+        """Run all seeds that have no row; call `on_rows` with the new rows of each chunk.
+
+        Args:
+            seeds: the seeds, ascending.
+            on_rows: called after rows were written.
+            until: a time of time.monotonic() after which no chunk begins.
+
+        Raises:
+            RigError: rows cannot be written, or workers die or refuse.
+        """
+        number, count = self._part
+        waiting: dict[int, list[int]] = {}
+        for seed in self._results.missing(seeds):
+            if lane_of(seed) % count == number - 1:
+                waiting.setdefault(lane_of(seed), []).append(seed)
+        idle = sorted(waiting)
+        while idle or self._running:
+            is_over = until is not None and time.monotonic() >= until
+            while idle and len(self._running) < self._workers and not is_over:
+                self._begin(idle.pop(0), waiting)
+            if not self._running:
+                break
+            done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+            for future in done:
+                lane, rows = self._taken(future, waiting)
+                if rows:
+                    on_rows(rows)
+                if waiting[lane]:
+                    idle.append(lane)
+
+    def _begin(self, lane: int, waiting: dict[int, list[int]]) -> None:
+        seeds = waiting[lane][: self._chunk]
+        del waiting[lane][: len(seeds)]
+        state = self._results.lane(lane, seeds[0])
+        request: dict[str, Any] = {
+            "seeds": seeds,
+            "seen": list(state.seen),
+            "corpus": [[one.as_table() for one in world] for world in state.corpus],
+            "guided": self._guided,
+        }
+        future = self._engine.submit(run_chunk, self._table, request)
+        self._running[future] = lane, seeds, time.monotonic()
+
+    def _taken(
+        self, future: "Future[list[str]]", waiting: dict[int, list[int]]
+    ) -> tuple[int, list[Row]]:
+        """Return the lane and the rows of a chunk; a chunk whose worker died waits again."""
+        lane, seeds, begun = self._running.pop(future)
+        try:
+            rows = [row_from(line) for line in future.result()]
+        except WorkerDied as error:
+            self._deaths += 1
+            if self._deaths > _DEATHS_MAX:
+                what = f"{self._deaths} workers have died, the last one: {error}"
+                raise RigError(self._plan.rig, what, "is memory short? see --workers") from None
+            waiting[lane][:0] = seeds
+            return lane, []
+        except WorkerRefused as error:
+            raise RigError(self._plan.rig, f"a worker refuses: {error}") from None
+        self._deaths = 0
+        took_s = max(1e-3, time.monotonic() - begun)
+        self._chunk = max(1, min(_CHUNK_MAX, round(len(seeds) * _CHUNK_S / took_s)))
+        self._results.append(rows, _file_of(self._part))
+        return lane, rows
+
+
+def _file_of(part: tuple[int, int]) -> str:
+    number, count = part
+    return "rows.jsonl" if count == 1 else f"rows-{number}-of-{count}.jsonl"
+
+
+def seeds_of(first: int, count: int) -> list[int]:
+    """Return the seeds of a campaign, with the canary's."""
+    return [CANARY, *range(first, first + count)]
+
+
+def checked_part(text: str) -> tuple[int, int]:
+    """Return (K, N) of "K/N".
+
+    Raises:
+        ValueError: it is no part.
+    """
+    number, _, count = text.partition("/")
+    part = int(number), int(count)
+    if not 1 <= part[0] <= part[1] <= LANES:
+        raise ValueError(f"part {text}: expected K/N with 1 <= K <= N <= {LANES}")
+    return part
+
+
+def with_profile(plan: Plan) -> Plan:
+    """Return the plan with the profile of the undisturbed run.
+
+    Raises:
+        RigError: the program fails without any disturbance.
+    """
+    from motorhil.harness.swarm.trial import profiled
+
+    row, profile = profiled(plan, 0)
+    if row.is_bad or profile is None:
+        what = f"the program fails without any disturbance: {row.text or row.result.value}"
+        raise RigError(plan.rig, what, "make it pass `motorhil run` first")
+    return replace(plan, profile=profile)

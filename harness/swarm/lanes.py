@@ -1,0 +1,54 @@
+"""Lanes: the order of worlds in a campaign, and the guidance by what earlier ones met.
+
+A seed belongs to the lane seed % LANES. Within a lane worlds run one after the other; every second
+one mutates an earlier world of its lane that met something new. So a world depends on the plan and
+the seeds below it in its lane, never on how a campaign was divided, interrupted or resumed.
+"""
+
+from collections.abc import Iterable
+from random import Random
+from typing import Final, final
+
+from motorhil.harness.rig.config.worlds import SwarmTable
+from motorhil.harness.swarm.row import CANARY, Row
+from motorhil.harness.swarm.worlds.disturbance import World
+from motorhil.harness.swarm.worlds.drawing import drawn, mutated
+from motorhil.harness.swarm.worlds.profile import Profile
+
+LANES: Final = 16
+_CORPUS_MAX: Final = 256
+
+
+def lane_of(seed: int) -> int:
+    """Return the lane of a seed."""
+    return 0 if seed == CANARY else seed % LANES
+
+
+@final
+class Lane:
+    """Pairs that the worlds of a lane have met so far, and the worlds that met them.
+
+    Attributes:
+        seen: (state, event) pairs that were met.
+        corpus: worlds that met a new pair, the oldest first.
+    """
+
+    def __init__(self, seen: Iterable[str] = (), corpus: Iterable[World] = ()) -> None:
+        self.seen = dict.fromkeys(seen)
+        self.corpus = list(corpus)[-_CORPUS_MAX:]
+
+    def learn(self, row: Row) -> None:
+        """Take the result of the lane's next world."""
+        new = [pair for pair in row.new if pair not in self.seen]
+        if new and row.seed != CANARY:
+            self.seen.update(dict.fromkeys(new))
+            if row.world:
+                self.corpus.append(row.world)
+                del self.corpus[:-_CORPUS_MAX]
+
+    def world(self, seed: int, profile: Profile, table: SwarmTable, guided: bool = True) -> World:
+        """Return the world of a seed, the next one of this lane."""
+        random = Random(f"world {seed}")
+        if guided and self.corpus and (seed // LANES) % 2:
+            return mutated(random.choice(self.corpus), random, profile, table)
+        return drawn(random, profile, table)

@@ -1,0 +1,130 @@
+"""Plan of a campaign: all that a worker needs to run any of its worlds.
+
+A plan is a value. Its digest covers the rig, the program, the oracles and the build, so that
+results of different plans never mix.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.harness.rig.recording import files_of
+from motorhil.harness.rig.rig import describe
+from motorhil.harness.swarm.worlds.profile import Profile, profile_from
+from motorhil.harness.version import source_digest, version
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.config.worlds import SwarmTable
+
+SCRIPT: Final = "script"
+FUNCTION: Final = "function"
+PYTEST: Final = "pytest"
+_END_S: Final = 60.0
+_END_FACTOR: Final = 10
+WALL_S: Final = 60.0
+"""Time on the wall clock that one world may take, by default [s]."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Program:
+    """The application of a campaign.
+
+    Attributes:
+        kind: SCRIPT, FUNCTION or PYTEST.
+        name: a file, "package.module:function", or a node id of pytest.
+        words: arguments of a script or of pytest.
+    """
+
+    kind: str
+    name: str
+    words: tuple[str, ...] = ()
+
+    def contents(self) -> bytes:
+        """Return what identifies its code: the Python files of its folder, or its name."""
+        path = Path(self.name.partition("::")[0])
+        if self.kind == FUNCTION or not path.is_file():
+            return self.name.encode()
+        folder = sorted(path.resolve().parent.glob("*.py"))
+        return b"".join(one.name.encode() + b"\0" + one.read_bytes() for one in folder)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A campaign, without its seeds.
+
+    Attributes:
+        rig: the rig file.
+        program: the application.
+        oracles: ids of the oracles that judge; empty: a safe choice.
+        wall_s: time on the wall clock that one world may take [s].
+        build: version and digest of the sources that made the plan.
+        contents: digest of rig, its files and program.
+        profile: the undisturbed run; None before it.
+    """
+
+    rig: str
+    program: Program
+    oracles: tuple[str, ...] = ()
+    wall_s: float = WALL_S
+    build: str = ""
+    contents: str = ""
+    profile: Profile | None = None
+
+    def digest(self) -> str:
+        """Return a short digest of the plan; results belong together if it is the same."""
+        text = json.dumps(replace(self, rig="").as_table(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def end_ns(self, table: "SwarmTable") -> int:
+        """Return the simulated time at which a run has failed [ns]."""
+        if table.end_s is not None:
+            return round(table.end_s * 1e9)
+        usual = 0 if self.profile is None else self.profile.end_ns
+        return max(round(_END_S * 1e9), _END_FACTOR * usual)
+
+    def as_table(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return asdict(self)
+
+
+def plan_of(rig: Path, program: Program, oracles: tuple[str, ...], wall_s: float) -> Plan:
+    """Return the plan of a campaign, without the profile of its undisturbed run.
+
+    Raises:
+        RigError: the rig cannot be used.
+    """
+    return Plan(str(rig), program, oracles, wall_s, build(), contents_of(rig, program))
+
+
+def plan_from(table: Mapping[str, Any]) -> Plan:
+    """Return the plan of `as_table`."""
+    program = table["program"]
+    profile = table["profile"]
+    return Plan(
+        table["rig"],
+        Program(program["kind"], program["name"], tuple(program["words"])),
+        tuple(table["oracles"]),
+        table["wall_s"],
+        table["build"],
+        table["contents"],
+        None if profile is None else profile_from(profile),
+    )
+
+
+def build() -> str:
+    """Return the version, and the digest of the sources."""
+    return f"{version()} {source_digest()}"
+
+
+def contents_of(rig: Path, program: Program) -> str:
+    """Return the digest of the rig, the files that it names, and the program."""
+    digest = hashlib.sha256()
+    for name, _, data in files_of(describe(rig)):
+        digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    digest.update(program.contents())
+    return digest.hexdigest()[:16]

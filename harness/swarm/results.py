@@ -1,0 +1,110 @@
+"""Result files of a campaign: a folder with its plan and its rows.
+
+Rows are only appended. Folders of one plan merge by copying their files together: a row that is
+there twice counts once, and a last line that was cut is absent.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final, final
+
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.swarm.lanes import Lane, lane_of
+from motorhil.harness.swarm.plan import Plan, plan_from
+from motorhil.harness.swarm.row import Row, row_from
+
+PLAN: Final = "plan.json"
+ROWS: Final = "rows*.jsonl"
+
+
+@final
+class Results:
+    """The folder of a campaign.
+
+    Attributes:
+        folder: the folder.
+        rows: all rows by seed.
+    """
+
+    def __init__(self, folder: Path, rows: dict[int, Row]) -> None:
+        self.folder = folder
+        self.rows = rows
+
+    def missing(self, seeds: Iterable[int]) -> list[int]:
+        """Return those seeds that have no row."""
+        return [seed for seed in seeds if seed not in self.rows]
+
+    def lane(self, number: int, before: int) -> Lane:
+        """Return what the worlds of a lane met, up to a seed."""
+        lane = Lane()
+        for seed in sorted(one for one in self.rows if lane_of(one) == number and one < before):
+            lane.learn(self.rows[seed])
+        return lane
+
+    def append(self, rows: Iterable[Row], name: str = "rows.jsonl") -> None:
+        """Add rows to a file.
+
+        Raises:
+            RigError: the file cannot be written; what was written before is whole.
+        """
+        new = [row for row in rows if row.seed not in self.rows]
+        path = self.folder / name
+        try:
+            with path.open("ab") as file:
+                file.write(b"".join(row.as_line().encode() + b"\n" for row in new))
+        except OSError as error:
+            remedy = "free some space, then resume with --resume"
+            raise RigError(path, f"cannot be written: {error.strerror}", remedy) from None
+        self.rows.update((row.seed, row) for row in new)
+
+
+def create(folder: Path, plan: Plan) -> Results:
+    """Return an empty folder of a campaign.
+
+    Raises:
+        RigError: it has results already, or cannot be written.
+    """
+    if (folder / PLAN).exists():
+        raise RigError(folder, "has results already", "add --resume, or name another folder: -o")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / PLAN).write_text(json.dumps(plan.as_table(), indent=1) + "\n")
+    except OSError as error:
+        raise RigError(folder, f"cannot be written: {error.strerror}", "use another -o") from None
+    return Results(folder, {})
+
+
+def open_results(folder: Path) -> tuple[Plan, Results]:
+    """Return the plan and the results of a folder.
+
+    Raises:
+        RigError: it has none, or results that contradict each other.
+    """
+    path = folder / PLAN
+    try:
+        plan = plan_from(json.loads(path.read_text()))
+    except FileNotFoundError:
+        raise RigError(folder, f"has no {PLAN}", "name the folder of a campaign") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RigError(path, f"is no plan of a campaign: {error}", "use another folder") from None
+    rows: dict[int, Row] = {}
+    for file in sorted(folder.glob(ROWS)):
+        for row in _rows_in(file):
+            other = rows.setdefault(row.seed, row)
+            if other != row:
+                what = f"seed {row.seed} has two results: {other.result.value}, {row.result.value}"
+                raise RigError(file, what, "remove the file of another plan")
+    return plan, Results(folder, rows)
+
+
+def _rows_in(file: Path) -> Iterator[Row]:
+    *lines, rest = file.read_bytes().split(b"\n")
+    if rest:  # a last line that was cut: remove it, so that the next one is whole
+        with file.open("r+b") as writable:
+            writable.truncate(file.stat().st_size - len(rest))
+    for number, line in enumerate(lines, 1):
+        try:
+            yield row_from(line)
+        except ValueError as error:
+            raise RigError(file, str(error), "remove the line", line=number) from None

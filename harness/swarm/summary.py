@@ -1,0 +1,108 @@
+"""Summary of a campaign: signatures, coverage, and what was never reached."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+from motorhil.harness.swarm.row import CANARY, Result, Row
+from motorhil.harness.swarm.worlds.shrinking import cause_of
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Failures of one cause.
+
+    Attributes:
+        name: oracle, rule and role.
+        rows: the failures, the best representative first: the earliest violation, then the fewest
+            disturbances, then the lowest seed.
+        signatures: signature to number of failures.
+    """
+
+    name: str
+    rows: tuple[Row, ...]
+    signatures: tuple[tuple[str, int], ...]
+
+    @property
+    def first(self) -> Row:
+        """The best representative."""
+        return self.rows[0]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Findings of a campaign.
+
+    Attributes:
+        counts: results and their numbers, without the canary.
+        causes: failures by cause, the most frequent first.
+        pairs: number of different (state, event) pairs.
+        growth: (worlds, pairs) after each world that met a new pair, by seed.
+        reached: conditions of `sometimes`, and in how many worlds they were true.
+        ended_by: allowed errors that ended programs, and how often.
+        canary: who found the canary; "" if nobody did; None if it has not run.
+    """
+
+    counts: dict[Result, int]
+    causes: tuple[Cause, ...]
+    pairs: int
+    growth: tuple[tuple[int, int], ...]
+    reached: dict[str, int]
+    ended_by: dict[str, int]
+    canary: str | None
+
+    @property
+    def failures(self) -> int:
+        """Number of failures."""
+        return self.counts.get(Result.FAILED, 0) + self.counts.get(Result.TIMEOUT, 0)
+
+    @property
+    def worlds(self) -> int:
+        """Number of worlds that ran."""
+        return sum(self.counts.values())
+
+
+def summary_of(rows: Iterable[Row]) -> Summary:
+    """Return the summary of a campaign's rows, in any order."""
+    canary: str | None = None
+    counts: Counter[Result] = Counter()
+    ended_by: Counter[str] = Counter()
+    reached: Counter[str] = Counter()
+    by_cause: dict[str, list[Row]] = {}
+    pairs: set[str] = set()
+    growth: list[tuple[int, int]] = []
+    for number, row in enumerate(sorted(rows, key=lambda one: one.seed)):
+        if row.seed == CANARY:
+            canary = row.text if row.is_bad else ""
+            continue
+        counts[row.result] += 1
+        if row.ended_by:
+            ended_by[row.ended_by] += 1
+        for name, count in row.met:
+            reached[name] += bool(count)
+        before = len(pairs)
+        pairs.update(row.new)
+        if len(pairs) > before:
+            growth.append((number + 1, len(pairs)))
+        if row.is_bad:
+            by_cause.setdefault(cause_of(row), []).append(row)
+    causes = [_cause(name, found) for name, found in by_cause.items()]
+    causes.sort(key=lambda one: (-len(one.rows), one.name))
+    return Summary(
+        dict(counts),
+        tuple(causes),
+        len(pairs),
+        tuple(growth),
+        dict(sorted(reached.items())),
+        dict(ended_by),
+        canary,
+    )
+
+
+def _cause(name: str, rows: list[Row]) -> Cause:
+    rows.sort(key=lambda one: (one.at_ns, len(one.world), one.seed))
+    signatures = Counter(row.signature for row in rows)
+    return Cause(name, tuple(rows), tuple(signatures.most_common()))

@@ -1,0 +1,1 @@
+"""Worlds of a rig: their disturbances, how they are drawn, observed, judged and made small."""

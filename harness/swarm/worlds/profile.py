@@ -1,0 +1,208 @@
+"""Profile of an undisturbed run: what a world can disturb, and when."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.emulators.cia402.settings import CATALOGUE
+from motorhil.emulators.controller import Controller, ControllerContext, SettingError
+from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.settings.tables import plant_of
+from motorhil.harness.plugins import CONTROLLERS, named
+
+if TYPE_CHECKING:
+    from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
+    from motorhil.harness.rig.rig import Rig
+
+_STIMULI: Final[Mapping[str, float]] = {
+    "load_torque_n_m": 0.0,
+    "device_temperature_c": 25.0,
+    "supply_v": 24.0,
+    "power": 1.0,
+    "fault": 0x5000,
+}
+_VARIED: Final = (
+    *("resistance_ohm", "torque_constant_n_m_a", "rotor_inertia_kg_m2", "coulomb_friction_n_m"),
+    *("viscous_friction_n_m_s_rad", "load_inertia_kg_m2"),
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """Frames of one identifier from one sender, or all transmissions of a sender on a line.
+
+    Attributes:
+        bus: the bus or line.
+        sender: the sender's name, as faults name it.
+        identifier: the CAN identifier; None on a line.
+        frames: number of frames in the undisturbed run.
+    """
+
+    bus: str
+    sender: str
+    identifier: int | None
+    frames: int
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A controller that can be disturbed.
+
+    Attributes:
+        name: its name.
+        bus: its bus or line, on which it can be cut off.
+        stimuli: inputs that it has.
+        quirks: quirks that it can have.
+        has_clock: True if its clock can have an error.
+        plant: numbers of its plant that may differ, by key.
+        torque_n_m: the torque that its motor can give at the output [N m].
+        supply_v: its supply [V].
+    """
+
+    name: str
+    bus: str
+    stimuli: tuple[str, ...]
+    quirks: tuple[str, ...]
+    has_clock: bool
+    plant: tuple[tuple[str, float], ...]
+    torque_n_m: float
+    supply_v: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Traffic and controllers of an undisturbed run.
+
+    Attributes:
+        end_ns: its duration [ns].
+        lines: serial lines and TCP connections among the buses.
+        traffic: who sends what, in order of the first time.
+        subjects: controllers, in the order of the rig.
+        parties: True if several parties take turns.
+    """
+
+    end_ns: int
+    lines: tuple[str, ...]
+    traffic: tuple[Traffic, ...]
+    subjects: tuple[Subject, ...]
+    parties: bool
+
+    def as_table(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return asdict(self)
+
+
+def profile_from(table: Mapping[str, Any]) -> Profile:
+    """Return the profile of `as_table`."""
+    return Profile(
+        table["end_ns"],
+        tuple(table["lines"]),
+        tuple(Traffic(**one) for one in table["traffic"]),
+        tuple(
+            Subject(
+                **{
+                    **one,
+                    "stimuli": tuple(one["stimuli"]),
+                    "quirks": tuple(one["quirks"]),
+                    "plant": tuple((key, value) for key, value in one["plant"]),
+                }
+            )
+            for one in table["subjects"]
+        ),
+        table["parties"],
+    )
+
+
+@final
+class Profiler:
+    """Observer of the undisturbed run."""
+
+    def __init__(self, rig: "Rig") -> None:
+        self._rig = rig
+        self._counts: dict[tuple[str, str, int | None], int] = {}
+        rig.world.tap_frames(self._frame)
+        rig.world.tap_lines(self._adu)
+
+    def profile(self) -> Profile:
+        """Return what was seen, up to now."""
+        description = self._rig.description
+        lines = tuple(bus.name for bus in description.buses.values() if bus.is_line)
+        return Profile(
+            self._rig.runtime.now_ns(),
+            lines,
+            tuple(Traffic(*key, count) for key, count in self._counts.items()),
+            tuple(_subject(description, one) for one in description.controllers.values()),
+            self._rig.runtime.had_parties(),
+        )
+
+    def _frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
+        key = (bus, sender, int.from_bytes(frame[:4], "little") & 0x1FFF_FFFF)
+        self._counts[key] = self._counts.get(key, 0) + 1
+
+    def _adu(
+        self, line: str, now_ns: int, begin_ns: int, end_ns: int, sender: str, *_: object
+    ) -> None:
+        key = (line, sender, None)
+        self._counts[key] = self._counts.get(key, 0) + 1
+
+
+def _subject(description: "RigDescription", one: "ControllerDescription") -> Subject:
+    core = _built(description, one, {})
+    plant = _plant(one)
+    return Subject(
+        one.name,
+        one.bus,
+        tuple(name for name, value in _STIMULI.items() if _takes(core, name, value)),
+        tuple(
+            quirk.name
+            for quirk in CATALOGUE
+            if "quirks" not in one.settings
+            and _built(description, one, {"quirks": [quirk.name]}) is not None
+        ),
+        "oscillator" not in one.settings
+        and _built(description, one, {"oscillator": {"ppm": 1.0}}) is not None,
+        () if plant is None else tuple((key, getattr(plant, key)) for key in _VARIED),
+        0.0
+        if plant is None
+        else plant.torque_constant_n_m_a * plant.current_max_a * plant.gear_ratio,
+        0.0 if plant is None else plant.supply_v,
+    )
+
+
+def _plant(one: "ControllerDescription") -> MotorPlant | None:
+    """Return the numbers of the plant, or None if they are not in the rig alone."""
+    table = one.settings.get("plant")
+    if one.plants_from_model or not isinstance(table, Mapping):
+        return None
+    try:
+        return plant_of(table)
+    except SettingError:
+        return None
+
+
+def _built(
+    description: "RigDescription", one: "ControllerDescription", more: Mapping[str, object]
+) -> Controller | None:
+    """Return the controller with further settings, or None if it cannot have them."""
+    context = ControllerContext(one.name, description.folder, 0)
+    settings = {**one.settings, **more}
+    settings.pop("nonvolatile_memory", None)
+    try:
+        built: Controller = named(CONTROLLERS, one.kind).load()(settings, context)
+        built.start(0)
+    except Exception:
+        return None
+    return built
+
+
+def _takes(core: Controller | None, name: str, value: float) -> bool:
+    if core is None:
+        return False
+    try:
+        core.stimulate(name, value, 0)
+    except ValueError:
+        return False
+    return True
