@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_color, add_seed
+from motorhil.harness.cli.options import add_color, add_seed, whole
 from motorhil.harness.cli.printable import coloured, has_colours
 from motorhil.harness.cli.progress import StatusLine
 from motorhil.harness.rig.config.toml import RigError, one_line
@@ -71,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='"some": most clauses run on variations of the kit\'s rig, chosen by the seed '
         '(default); "pairs": on pairs of them; "own": all on the rig as it is; "all": all on every '
         "variation; or a name",
+    )
+    parser.add_argument(
+        "--swarm",
+        type=whole(1, 1_000_000, "worlds"),
+        metavar="N",
+        help="instead: each clause in N gentle worlds of the rig, in which clocks, plants, errors "
+        "of the bus and turns differ",
     )
     add_seed(parser)
     parser.add_argument(
@@ -221,6 +228,7 @@ def _list(options: argparse.Namespace) -> int:
 def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
     """Check the clauses, print each result as it comes, and return the outcome."""
     from motorhil.harness.conformance.benches.variations import not_met
+    from motorhil.harness.conformance.benches.worlds import world_name
     from motorhil.harness.conformance.examination import Examiner
     from motorhil.harness.conformance.supervisor import CannotTestError
     from motorhil.harness.conformance.verdicts.results import Outcome
@@ -231,8 +239,12 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
     line = StatusLine()
-    is_required = options.benches not in (_SOME, _PAIRS)
+    is_required = options.swarm is None and options.benches not in (_SOME, _PAIRS)
     pairs = _pairs(options.benches, chosen, supervisor.loaded)
+    if options.swarm is not None:
+        first = supervisor.loaded.seed
+        worlds = [world_name(first + number) for number in range(options.swarm)]
+        pairs = [(promise, world) for world in worlds for promise in chosen]
     for number, (promise, bench) in enumerate(pairs, 1):
         line.show(f"{promise.id} ({number} of {len(pairs)})")
         finding = examiner.examine(promise, bench, is_required=is_required)
@@ -262,6 +274,7 @@ def _pairs(
         RigError: there is no such variation.
     """
     from motorhil.harness.conformance.benches.variations import OWN, assigned
+    from motorhil.harness.conformance.benches.worlds import is_world
 
     names = loaded.variations
     if which == _ALL:
@@ -273,7 +286,7 @@ def _pairs(
             names = tuple(_paired(loaded))
         by_clause = assigned([one.id for one in loaded.clauses], names, loaded.seed)
         return [(promise, by_clause[promise.id]) for promise in chosen]
-    if which not in names and which not in _paired(loaded):
+    if which not in names and not is_world(which) and which not in _paired(loaded):
         known = (_SOME, _PAIRS, _ALL, _OWN, *names)
         remedy = nearest(which, list(known))
         if not remedy.startswith("did"):

@@ -101,7 +101,7 @@ class Examiner:
             return Finding(promise, verdict, wall_s, variation=variation)
         loaded = self._supervisor.loaded
         again = [*self._command, "--clause", promise.id, "--seed", str(loaded.seed)]
-        if loaded.variations:
+        if loaded.variations or variation:
             again += ["--benches", variation or "own"]
         second = None
         if record is None:

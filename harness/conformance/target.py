@@ -21,6 +21,7 @@ from motorhil.harness.conformance.benches.variations import (
     parts_of,
     text_of,
 )
+from motorhil.harness.conformance.benches.worlds import fragment_of, is_world
 from motorhil.harness.conformance.clause import Clause
 from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
@@ -92,7 +93,10 @@ class Target:
         found = self._varied.get(variation)
         if found is None:
             source = self._described.source
-            text = text_of(source.text, changes_of(variation))
+            if is_world(variation):
+                text = f"{source.text}\n{fragment_of(variation, self._described)}"
+            else:
+                text = text_of(source.text, changes_of(variation))
             described = parse_rig(Source(source.path, text), installed_plugins())
             described = replace(described, name=f"{described.name}, {variation}")
             found = bench_description(described, self._job.adaptation or None)

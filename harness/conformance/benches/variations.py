@@ -12,6 +12,7 @@ from itertools import combinations
 from typing import Final
 
 from motorhil.harness.conformance.benches.options import OPTIONS, Change
+from motorhil.harness.conformance.benches.worlds import is_world
 
 _PLANT = 'plant = { preset = "wheel_60w" }'
 _FINE = "window_rad = 0.001\nfollowing_rad = 0.0005"
@@ -216,8 +217,8 @@ def text_of(text: str, changes: Sequence[Change]) -> str:
 
 
 def parts_of(name: str) -> list[str]:
-    """Return the variations of a pair, or the one variation; none for the rig as it is."""
-    return name.split(_AND) if name else []
+    """Return the variations of a pair, or the one; none for the rig as it is, or in a world."""
+    return name.split(_AND) if name and not is_world(name) else []
 
 
 def changes_of(name: str) -> list[Change]:

@@ -134,7 +134,7 @@ class Profiler:
             self._rig.runtime.now_ns(),
             lines,
             tuple(Traffic(*key, count) for key, count in self._counts.items()),
-            tuple(_subject(description, one) for one in description.controllers.values()),
+            subjects_of(description),
             self._rig.runtime.had_parties(),
         )
 
@@ -147,6 +147,11 @@ class Profiler:
     ) -> None:
         key = (line, sender, None)
         self._counts[key] = self._counts.get(key, 0) + 1
+
+
+def subjects_of(description: "RigDescription") -> tuple[Subject, ...]:
+    """Return the controllers of a rig as what can be disturbed."""
+    return tuple(_subject(description, one) for one in description.controllers.values())
 
 
 def _subject(description: "RigDescription", one: "ControllerDescription") -> Subject:
