@@ -95,5 +95,5 @@ def row_from(line: str | bytes) -> Row:
         table["met"] = tuple(met.items())
         table["world"] = tuple(from_table(one) for one in table.get("world", ()))
         return Row(**table)
-    except (TypeError, KeyError, AttributeError, AssertionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, AssertionError) as error:
         raise ValueError(f"no row of a campaign: {error}") from None

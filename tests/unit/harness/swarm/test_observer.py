@@ -1,0 +1,68 @@
+"""Classes of events and states, and which oracles may judge a world."""
+
+import pytest
+
+from motorhil.harness.oracles.judge import IDS
+from motorhil.harness.rig.config.worlds import WEIGHTS
+from motorhil.harness.swarm import properties
+from motorhil.harness.swarm.worlds.disturbance import Disturbance
+from motorhil.harness.swarm.worlds.fairness import EXCUSES, fair
+from motorhil.harness.swarm.worlds.observer import event_class, state_class
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("drop 2: drop 581h", "drop 580h"),
+        ("drop 1: drop 582h", "drop 580h"),
+        ("delay 1: delay 181h", "delay 180h"),
+        ("cut 1: begins", "cut: begins"),
+        ("stimulus load_torque_n_m = -12.5", "stimulus load_torque_n_m = #"),
+        ("fault 8611h (following error)", "fault 8611h (following error)"),
+    ],
+)
+def test_events_that_differ_in_numbers_are_one_class(text, expected):
+    assert event_class(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("truth", "expected"),
+    [
+        ({"state": 4.0, "velocity_rad_s": 0.0}, "4"),
+        ({"state": 4.0, "velocity_rad_s": -0.5}, "4m"),
+        ({"velocity_m_s": 0.5}, "-m"),
+        ({}, "-"),
+    ],
+)
+def test_a_state_is_that_of_the_drive_and_whether_it_moves(truth, expected):
+    assert state_class(truth) == expected
+
+
+def test_an_undisturbed_world_is_judged_by_all():
+    assert fair(()) == IDS
+
+
+def test_excuses_name_oracles_and_kinds_that_exist():
+    assert set(EXCUSES) <= set(IDS)
+    assert {kind for kinds in EXCUSES.values() for kind in kinds} <= set(WEIGHTS)
+
+
+def test_a_load_excuses_a_limit_and_no_protocol():
+    world = (Disturbance("load", "left", (("value", 1.0),)),)
+    assert "limit-velocity" not in fair(world)
+    assert {"pds-legal", "one-sender", "owner-commands"} <= set(fair(world))
+
+
+def test_always_raises_and_names_the_promise():
+    properties.always(True, "it holds")
+    with pytest.raises(properties.PropertyViolated, match=r"^it holds$"):
+        properties.always([], "it holds")
+
+
+def test_sometimes_counts_what_was_true_and_what_never_was():
+    properties.forget()
+    for value in (True, False, True):
+        properties.sometimes(value, "a retry")
+    properties.sometimes(False, "a stop")
+    assert properties.met() == {"a retry": 2, "a stop": 0}
+    properties.forget()
