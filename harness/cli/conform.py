@@ -64,21 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the rig's motors are on real buses: a SocketCAN interface, the socket of `motorhil "
         "serve`, interface:channel of python-can; a Modbus line: a device, or host:port",
     )
-    parser.add_argument(
-        "--benches",
-        metavar="WHICH",
-        default=_SOME,
-        help='"some": most clauses run on variations of the kit\'s rig, chosen by the seed '
-        '(default); "pairs": on pairs of them; "own": all on the rig as it is; "all": all on every '
-        "variation; or a name",
-    )
-    parser.add_argument(
-        "--swarm",
-        type=whole(1, 1_000_000, "worlds"),
-        metavar="N",
-        help="instead: each clause in N gentle worlds of the rig, in which clocks, plants, errors "
-        "of the bus and turns differ",
-    )
+    _add_benches(parser)
     add_seed(parser)
     parser.add_argument(
         "-o",
@@ -103,6 +89,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
     add_color(parser)
+
+
+def _add_benches(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments about the benches that clauses meet."""
+    parser.add_argument(
+        "--benches",
+        metavar="WHICH",
+        default=_SOME,
+        help='"some": most clauses run on variations of the kit\'s rig, chosen by the seed '
+        '(default); "pairs": on pairs of them; "own": all on the rig as it is; "all": all on every '
+        "variation; or a name",
+    )
+    parser.add_argument(
+        "--swarm",
+        type=whole(1, 1_000_000, "worlds"),
+        metavar="N",
+        help="instead: each clause in N gentle worlds of the rig, in which clocks, plants, errors "
+        "of the bus and turns differ",
+    )
 
 
 def level_of(text: str) -> int:

@@ -119,6 +119,12 @@ _VERBS: Final = (
         reads=("file",),
     ),
     _Verb(
+        "identify",
+        "find inertia and friction of a motor in its recording",
+        "motorhil.harness.cli.identify",
+        reads=("file",),
+    ),
+    _Verb(
         "convert",
         "turn recorded CAN traffic into another format",
         "motorhil.harness.cli.convert",

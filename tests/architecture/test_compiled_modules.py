@@ -113,6 +113,7 @@ FOLDERS = (
     *("harness/conformance/verdicts", "harness/examples", "harness/examples/new_drive"),
     *("harness/oracles", "harness/oracles/drives"),
     *("harness/pytest_plugin", "harness/replay", "harness/report", "harness/rig/config"),
+    "harness/identification",
     *("harness/sharing_tests", "harness/swarm", "harness/swarm/worlds"),
     "harness/virtual_time/stdlib",
     *("motorapi", "motorapi/adaptations", "motorapi/adaptations/modbus", "motorapi/api"),

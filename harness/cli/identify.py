@@ -1,0 +1,133 @@
+"""The verb `identify`: the plant of a motor from its recording."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Final
+
+from motorhil.harness.cli.main import FAILED, PASSED
+from motorhil.harness.cli.options import print_table
+from motorhil.harness.identification.inverse_model import Fit, Parameter, effort_error, fitted
+from motorhil.harness.identification.plant_table import UNITS, plant_keys, table_of
+from motorhil.harness.identification.samples import Samples, samples_in
+from motorhil.harness.rig.config.toml import RigError
+
+_POOR: Final = 0.3
+_EPILOG: Final = """\
+The model is effort = inertia * a + viscous * v + coulomb * sign(v) + offset, at the output. A fit
+is judged by the effort that it explains, on this recording and with --check on another one:
+position tracks its set-point whatever the plant is. Exit status 1: the model explains too little.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `identify`."""
+    parser.epilog = _EPILOG
+    parser.add_argument("file", type=Path, metavar="RECORDING", help="a recording (MCAP)")
+    parser.add_argument("--motor", metavar="NAME", help="the motor; absent: the only one")
+    parser.add_argument(
+        "--check", type=Path, metavar="RECORDING", help="judge the model on this recording, too"
+    )
+    parser.add_argument(
+        "--gear",
+        type=float,
+        default=1.0,
+        metavar="N",
+        help="motor turns per turn of the output, to tell values on the motor's side (default 1)",
+    )
+    parser.add_argument(
+        "--rated",
+        type=float,
+        metavar="TORQUE",
+        help="rated torque or force at the output [N m or N]: a drive tells 6077h in parts of it",
+    )
+    parser.add_argument(
+        "--truth", action="store_true", help="use the true state of an emulated drive"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write the plant's keys (TOML)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Identify the plant; return 0, or 1 if the model explains too little of the effort.
+
+    Raises:
+        RigError: the recording does not show the motor, or the file cannot be written.
+    """
+    if not options.gear > 0.0:
+        raise RigError("--gear", f"{options.gear} is not above 0", "give motor turns per turn")
+    if options.rated is not None and not options.rated > 0.0:
+        raise RigError("--rated", f"{options.rated} is not above 0", "give N m or N")
+    samples = _samples(options, options.file, options.motor)
+    fit = fitted(samples)
+    checked = None
+    if options.check is not None:
+        checked = effort_error(fit, _samples(options, options.check, samples.name))
+    if options.output is not None:
+        _write(options.output, table_of(fit, samples, options.gear))
+    if options.json:
+        print(json.dumps(_as_json(fit, samples, checked, options.gear), indent=1))
+    else:
+        _print(fit, samples, checked)
+    worst = fit.error if checked is None else max(fit.error, checked)
+    if worst > _POOR:
+        print(
+            f"motorhil identify: {samples.name}: {worst:.0%} of the effort is not explained;"
+            f" expected at most {_POOR:.0%}; is another force at work?",
+            file=sys.stderr,
+        )
+        return FAILED
+    return PASSED
+
+
+def _samples(options: argparse.Namespace, file: Path, motor: str | None) -> Samples:
+    return samples_in(file, motor, truth=options.truth, rated=options.rated)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise RigError(path, f"cannot be written: {error.strerror}", "name another file") from None
+
+
+def _print(fit: Fit, samples: Samples, checked: float | None) -> None:
+    rate = 1.0 / samples.period_s
+    print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
+    rows = [_row(one, samples.unit) for one in fit.parameters.values()]
+    print_table(("parameter", "value", "unit", "deviation", "remark"), rows, words=(0, 2, 4))
+    print(f"effort not explained: {fit.error:.1%}", end="")
+    print("" if checked is None else f"; on the other recording {checked:.1%}")
+
+
+def _row(one: Parameter, unit: str) -> tuple[str, ...]:
+    remark = f"not seen: {one.unseen}; {one.remedy}" if one.unseen else ""
+    share = f"{one.relative:.1%}" if one.value else "-"
+    return one.name, f"{one.value:.5g}", UNITS[one.name][unit], share, remark
+
+
+def _as_json(fit: Fit, samples: Samples, checked: float | None, gear: float) -> dict[str, object]:
+    return {
+        "motor": samples.name,
+        "unit": samples.unit,
+        "duration_s": samples.duration_s,
+        "period_s": samples.period_s,
+        "source": samples.source,
+        "parameters": {
+            one.name: {
+                "value": one.value,
+                "unit": UNITS[one.name][samples.unit],
+                "deviation": one.deviation,
+                "unseen": one.unseen or None,
+                "remedy": one.remedy or None,
+            }
+            for one in fit.parameters.values()
+        },
+        "plant": plant_keys(fit, samples.unit, gear),
+        "effort_error": fit.error,
+        "effort_error_of_check": checked,
+        "condition": fit.condition,
+    }

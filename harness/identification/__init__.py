@@ -1,0 +1,1 @@
+"""Identification: the plant of a real axis from its recording."""

@@ -1,0 +1,55 @@
+"""Keys of a rig's plant for an identified model."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from motorhil.harness.identification.inverse_model import Fit
+from motorhil.harness.identification.samples import Samples
+
+UNITS: Final[Mapping[str, Mapping[str, str]]] = {
+    "inertia": {"rad": "kg·m²", "m": "kg"},
+    "viscous": {"rad": "N·m·s/rad", "m": "N·s/m"},
+    "coulomb": {"rad": "N·m", "m": "N"},
+    "offset": {"rad": "N·m", "m": "N"},
+}
+"""Units of the parameters at the output, for turning and for linear axes."""
+
+
+def plant_keys(fit: Fit, unit: str, gear: float) -> dict[str, float]:
+    """Return the plant's keys and values for a turning axis; parameters that are not seen lack.
+
+    Args:
+        fit: the model at the output.
+        unit: "rad" or "m"; plants of linear axes are turning ones in a rig, so they have no keys.
+        gear: motor turns per turn of the output; inertia and friction are told on its motor's side.
+    """
+    if unit != "rad":
+        return {}
+    values = {name: one.value for name, one in fit.parameters.items() if not one.unseen}
+    keys: dict[str, float] = {}
+    if "inertia" in values:
+        keys["rotor_inertia_kg_m2"] = values["inertia"] / gear**2
+    if "viscous" in values:
+        keys["viscous_friction_n_m_s_rad"] = max(0.0, values["viscous"] / gear**2)
+    if "coulomb" in values:
+        keys["coulomb_friction_n_m"] = max(0.0, values["coulomb"] / gear)
+    if "offset" in values:
+        keys["load_torque_n_m"] = values["offset"]
+    return keys
+
+
+def table_of(fit: Fit, samples: Samples, gear: float) -> str:
+    """Return the model as TOML: the keys of a plant, with what is known about each."""
+    lines = [
+        f"# {samples.name}: {samples.duration_s:.1f} s at {1.0 / samples.period_s:.0f} Hz",
+        f"# effort not explained: {fit.error:.1%}",
+    ]
+    for one in fit.parameters.values():
+        unit = UNITS[one.name][samples.unit]
+        told = f"# {one.name} at the output: {one.value:.5g} {unit}, deviation {one.relative:.1%}"
+        lines.append(f"{told}; not seen: {one.unseen}; {one.remedy}" if one.unseen else told)
+    lines.append("[plant]")
+    lines.append(f"gear_ratio = {gear!r}")
+    keys = plant_keys(fit, samples.unit, gear)
+    lines += [f"{key} = {value:.6g}" for key, value in keys.items()]
+    return "\n".join(lines) + "\n"
