@@ -56,6 +56,8 @@ _VOLTS: Final = 10.0
 # to rest from the full speed, with a load that leaves a thirtieth of the planned deceleration.
 _STALL_S: Final = 1.0
 _STALL_STOPS: Final = 30.0
+# Standstill beside the target: frames of commands were lost, or a load holds the motor there.
+_SHORT_S: Final = 2.0
 _LIMITED: Final = "torque, current and velocity set-points with a limit of their first derivative"
 
 
@@ -340,6 +342,7 @@ class SoftwareMotor(Motor):
             following_error=behind * size,
             following_s=own.following_error_s,
             stall_s=_STALL_S + _STALL_STOPS * model.velocity_max / model.deceleration,
+            short_s=_SHORT_S,
             window=10.0 if own.position_window is None else own.position_window * size,
             velocity_window=0.02 * model.velocity_max * size + 0.5 / period_s,
             settle_s=own.settle_s,

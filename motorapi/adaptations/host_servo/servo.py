@@ -57,6 +57,7 @@ class ServoLimits:
             inf: no limit.
         stall_s: a set-point of position has no demand to follow; with such an error, it stops the
             motor after this time without approach to its target [s].
+        short_s: the longest standstill beside the target, once the demand has arrived [s].
         window: a position is reached within it, for `settle_s` [inc].
         velocity_window: a velocity is reached within it, for `settle_s` [inc/s].
         deceleration: the deceleration to rest if the course fails [inc/s²].
@@ -67,6 +68,7 @@ class ServoLimits:
     following_error: float
     following_s: float
     stall_s: float
+    short_s: float
     window: float
     velocity_window: float
     settle_s: float
@@ -80,6 +82,7 @@ _NO_LIMITS: Final = ServoLimits(
     following_error=inf,
     following_s=1.0,
     stall_s=1.0,
+    short_s=1.0,
     window=0.0,
     velocity_window=0.0,
     settle_s=1.0,
@@ -98,7 +101,8 @@ class Servo:
         course: the active course; None: no control, no current.
         is_done: whether the course has come to its end, and the motor with it.
         lags: whether the following error exceeds its limit for too long, of a set-point without
-            approach to its target.
+            approach to its target; or the motor stands still for too long beside the target of a
+            course that is over.
         error: an error of the demand itself, or None.
     """
 
@@ -124,6 +128,7 @@ class Servo:
         self._settled = 0
         self._still = (0.0, 0)  # position of standstill, and its duration in cycles
         self._behind = 0
+        self._short = 0  # cycles of standstill beside the target of a course that is over
         self._farthest = 0.0  # error of a set-point since its last approach to the target
         self._gains = _NO_GAINS
         self._limits = _NO_LIMITS
@@ -138,6 +143,7 @@ class Servo:
         self._settle_cycles = max(1, round(limits.settle_s / period_s))
         self._following_cycles = max(1, round(limits.following_s / period_s))
         self._stall_cycles = max(1, round(limits.stall_s / period_s))
+        self._short_cycles = max(1, round(limits.short_s / period_s))
         # A larger error is answered with velocity_max, where kd balances kp.
         self._error_max = limits.velocity_max * gains.kd / gains.kp if gains.kd > 0.0 else 1e300
 
@@ -167,7 +173,7 @@ class Servo:
             self.demand = course.target  # the step itself is not a velocity
         self.course = course
         self._begun = cycle
-        self._settled = self._behind = 0
+        self._settled = self._behind = self._short = 0
         self._farthest = 0.0
         self._still = (self.position, 0)
         self.is_done = self.lags = False
@@ -350,6 +356,9 @@ class Servo:
             is_there = abs(course.target - self.position) <= limits.window
         self._settled = self._settled + 1 if is_there else 0
         self.is_done = self._settled >= self._settle_cycles
+        self._short = self._short + 1 if still and not is_there else 0
+        if self._short >= self._short_cycles:  # such as with commands that the amplifier lost
+            self.lags = True
 
     def _judge_following(self, course: Course, error: float) -> None:
         """Detect an error above its limit for too long, in a set-point without any approach."""

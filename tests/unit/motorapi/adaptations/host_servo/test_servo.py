@@ -34,6 +34,7 @@ LIMITS = ServoLimits(
     following_error=inf,
     following_s=0.01,
     stall_s=0.1,
+    short_s=0.3,
     window=10.0,
     velocity_window=500.0,
     settle_s=0.02,
@@ -354,6 +355,29 @@ def test_set_point_without_approach_fails_after_its_time(approach: int):
         servo.step(approach if cycle > 50 else 0, cycle)
         lags.append(servo.lags)
     assert lags.index(True) + 1 == (100 if approach == 10 else 151)
+
+
+@pytest.mark.parametrize("stops_at", [19, 50, 300])
+def test_standstill_beside_the_target_fails_after_its_time(stops_at: int):
+    """300 cycles of standstill, which a movement by more than two increments begins anew."""
+    servo = Servo(T)
+    servo.step(0, 0)
+    servo.begin(Course(POSITION, 0.0), GAINS, LIMITS, 0)
+    lags = []
+    for cycle in range(1, 700):
+        servo.step(20 + 3 * min(cycle, stops_at), cycle)  # the window has 10
+        lags.append(servo.lags)
+    assert lags.index(True) + 1 == stops_at + 20 + 300 - 1
+
+
+def test_standstill_within_the_window_never_fails():
+    servo = Servo(T)
+    servo.step(0, 0)
+    servo.begin(Course(POSITION, 0.0), GAINS, LIMITS, 0)
+    for cycle in range(1, 700):
+        servo.step(10, cycle)
+    assert servo.is_done
+    assert not servo.lags
 
 
 def test_set_point_that_was_reached_does_not_fail_later():
