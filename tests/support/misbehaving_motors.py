@@ -174,5 +174,10 @@ def works_for_ever_in_a_further_worker(motor):
         says_so_and_works_for_ever(motor)
 
 
+def leaves_garbage(motor):
+    cycle = [bytearray(50_000_000)]
+    cycle.append(cycle)
+
+
 def has_a_bug(motor):
     raise LookupError("a bug of the motor")
