@@ -10,8 +10,8 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext, redirect_stdout
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, closing, nullcontext, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -25,7 +25,7 @@ from motorhil.settings import listed, nearest
 
 if TYPE_CHECKING:
     from motorhil.harness.conformance.examination import Finding
-    from motorhil.harness.conformance.job import Loaded, Promise
+    from motorhil.harness.conformance.job import Job, Loaded, Promise
     from motorhil.harness.conformance.supervisor import Supervisor
     from motorhil.harness.conformance.verdicts.results import Outcome
 
@@ -37,6 +37,8 @@ _STDOUT: Final = Path("-")
 _SOME, _ALL, _OWN, _PAIRS = "some", "all", "own", "pairs"
 _NAMED: Final = 6
 _RECORDS: Final = Path("out", "conform")
+_SHARE: Final = 25
+"""The least number of clauses for which a further worker is worth its start."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +68,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_benches(parser)
     add_seed(parser)
+    _add_results(parser)
+    parser.add_argument(
+        "--fail-fast", action="store_true", help="end after the first clause that is not fulfilled"
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole(1, 256),
+        metavar="N",
+        help="processes that check clauses at the same time; by default one for each core, but 1 "
+        "for few clauses, with --on, and with --fail-fast",
+    )
+    parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
+    add_color(parser)
+
+
+def _add_results(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o",
         "--output",
@@ -84,11 +102,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write the results as HTML")
-    parser.add_argument(
-        "--fail-fast", action="store_true", help="end after the first clause that is not fulfilled"
-    )
-    parser.add_argument("--list", action="store_true", help="print the clauses, and check none")
-    add_color(parser)
 
 
 def _add_benches(parser: argparse.ArgumentParser) -> None:
@@ -151,7 +164,7 @@ def run(options: argparse.Namespace) -> int:
     words = redirect_stdout(sys.stderr) if options.json == _STDOUT else nullcontext()
     try:
         with ends_by_signal(), Supervisor(job) as supervisor, words:
-            outcome = _outcome(options, supervisor)
+            outcome = _outcome(options, job, supervisor)
     except WrongJobError as error:
         print(error, file=sys.stderr)
         return WRONG_USAGE
@@ -168,9 +181,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _wrong_target(options: argparse.Namespace) -> str:
-    """Return the error in the choice of what is tested; "" if there is none."""
+    """Return the error in the choice of what is tested, and how; "" if there is none."""
     if options.controller is not None and options.adaptation is not None:
         return "--controller checks a drive, --adaptation a host; leave one of them out"
+    if options.workers not in (None, 1) and (options.on or options.fail_fast):
+        return "--on and --fail-fast check one clause after another; leave --workers out"
+    if options.swarm is not None and (options.on or options.controller is not None):
+        return "--swarm disturbs emulated drives of an adaptation; leave --on and --controller out"
     if options.controller is None and options.adaptation is None and options.rig is None:
         return (
             "no adaptation named; use --adaptation NAME, --rig RIG, or both; or --controller NAME"
@@ -230,35 +247,30 @@ def _list(options: argparse.Namespace) -> int:
     return PASSED
 
 
-def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome":
+def _outcome(options: argparse.Namespace, job: "Job", supervisor: "Supervisor") -> "Outcome":
     """Check the clauses, print each result as it comes, and return the outcome."""
     from motorhil.harness.conformance.benches.variations import not_met
-    from motorhil.harness.conformance.benches.worlds import world_name
-    from motorhil.harness.conformance.examination import Examiner
     from motorhil.harness.conformance.supervisor import CannotTestError
     from motorhil.harness.conformance.verdicts.results import Outcome
 
     chosen = _chosen(options, supervisor.loaded.clauses)
-    examiner = Examiner(supervisor, _command(options), options.output, is_live=bool(options.on))
     findings: list[Finding] = []
     first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
     line = StatusLine()
-    is_required = options.swarm is None and options.benches not in (_SOME, _PAIRS)
-    pairs = _pairs(options.benches, chosen, supervisor.loaded)
-    if options.swarm is not None:
-        first = supervisor.loaded.seed
-        worlds = [world_name(first + number) for number in range(options.swarm)]
-        pairs = [(promise, world) for world in worlds for promise in chosen]
-    for number, (promise, bench) in enumerate(pairs, 1):
-        line.show(f"{promise.id} ({number} of {len(pairs)})")
-        finding = examiner.examine(promise, bench, is_required=is_required)
-        first_s = first_s or _running_s()
-        line.clear()
-        _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
-        findings.append(finding)
-        if options.fail_fast and not finding.verdict.result.is_good:
-            break
+    pairs = _in_worlds(options.swarm, chosen, supervisor.loaded)
+    if options.swarm is None:
+        pairs = _pairs(options.benches, chosen, supervisor.loaded)
+    with closing(_findings(options, job, supervisor, pairs)) as found:
+        for number, (promise, _) in enumerate(pairs, 1):
+            line.show(f"{promise.id} ({number} of {len(pairs)})")
+            finding = next(found)
+            first_s = first_s or _running_s()
+            line.clear()
+            _print_finding(finding, first_of, has_colours(options.color, sys.stdout))
+            findings.append(finding)
+            if options.fail_fast and not finding.verdict.result.is_good:
+                break
     try:
         claims = supervisor.claims()
     except CannotTestError as error:
@@ -268,6 +280,47 @@ def _outcome(options: argparse.Namespace, supervisor: "Supervisor") -> "Outcome"
     conditions = [*loaded.variations, *(_paired(loaded) if options.benches == _PAIRS else ())]
     missing = not_met(conditions, {one.variation for one in findings})
     return Outcome(loaded, findings, claims, first_s, _running_s(), tuple(missing))
+
+
+def _findings(
+    options: argparse.Namespace,
+    job: "Job",
+    supervisor: "Supervisor",
+    pairs: "Sequence[tuple[Promise, str]]",
+) -> "Generator[Finding, None, None]":
+    """Yield the findings on the clauses in their order, by several workers if there are many."""
+    from motorhil.harness.conformance.examination import Examiner, examine_all
+    from motorhil.harness.conformance.supervisor import Supervisor
+
+    words, is_live = _command(options), bool(options.on)
+    is_required = options.swarm is None and options.benches not in (_SOME, _PAIRS)
+    with ExitStack() as held:
+        supervisors = [supervisor]
+        for _ in range(1, _workers(options, len(pairs))):
+            supervisors.append(Supervisor(job))
+            held.push(supervisors[-1])
+        examiners = [Examiner(one, words, options.output, is_live=is_live) for one in supervisors]
+        with closing(examine_all(examiners, pairs, is_required=is_required)) as found:
+            yield from found
+
+
+def _workers(options: argparse.Namespace, count: int) -> int:
+    """Return the number of processes that check `count` clauses."""
+    if options.on or options.fail_fast:
+        return 1
+    if options.workers is not None:
+        return int(options.workers)
+    return max(1, min(len(os.sched_getaffinity(0)), count // _SHARE))
+
+
+def _in_worlds(
+    count: int | None, chosen: "Sequence[Promise]", loaded: "Loaded"
+) -> "list[tuple[Promise, str]]":
+    """Return the clauses to check, each in so many worlds, from that of the seed on."""
+    from motorhil.harness.conformance.benches.worlds import world_name
+
+    worlds = [world_name(loaded.seed + number) for number in range(count or 0)]
+    return [(promise, world) for world in worlds for promise in chosen]
 
 
 def _pairs(

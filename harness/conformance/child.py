@@ -127,6 +127,11 @@ class Child:
         # The worker inherited the file, and thus shares its position.
         os.lseek(self._stacks.fileno(), 0, os.SEEK_SET)
 
+    def kill(self) -> None:
+        """Kill the worker, from any thread; `answer` then reports its end."""
+        with suppress(ProcessLookupError):
+            os.kill(self._process.pid, signal.SIGKILL)
+
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to the worker."""
         with suppress(ProcessLookupError):

@@ -1,12 +1,14 @@
 """Examination of clauses: a failing check is repeated and recorded.
 
 On a bench in wall time the first run is recorded.
+
+Several examiners, each with a worker of its own, share the clauses of a run (`examine_all`).
 """
 
 import shlex
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
@@ -125,6 +127,10 @@ class Examiner:
             variation,
         )
 
+    def abandon(self) -> None:
+        """End an examination in another thread; see `Supervisor.abandon`."""
+        self._supervisor.abandon()
+
     def _check_again(self, first: Verdict, was_slow: bool, record: Path, variation: str) -> Verdict:
         """Check the clause again, observed and recorded."""
         deadline_s = None
@@ -144,6 +150,49 @@ class Examiner:
         with suppress(FileNotFoundError):
             record.unlink()  # from an earlier run
         return record
+
+
+def examine_all(
+    examiners: Sequence[Examiner],
+    pairs: Sequence[tuple[Promise, str]],
+    *,
+    is_required: bool = False,
+) -> Generator[Finding, None, None]:
+    """Yield the findings on clauses in their order, each with the variation of its bench.
+
+    Each of n examiners has every n-th clause, so that code that keeps a state meets the same
+    clauses in every run. The first verdict is awaited alone, as loading further workers would delay
+    it. Close the generator. If clauses remain then, several examiners cannot be used any more.
+
+    Raises:
+        WrongJobError, CannotTestError, RigError: see `Examiner.examine`.
+    """
+    count = len(examiners)
+    alone = pairs[:1] if count > 1 else pairs
+    for promise, variation in alone:
+        yield examiners[0].examine(promise, variation, is_required=is_required)
+    if len(alone) == len(pairs):
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ExitStack() as held:
+        pools = [ThreadPoolExecutor(1) for _ in examiners]
+        for pool in pools:
+            held.callback(pool.shutdown, cancel_futures=True)
+        findings = [
+            pools[number % count].submit(
+                examiners[number % count].examine, promise, variation, is_required=is_required
+            )
+            for number, (promise, variation) in enumerate(pairs)
+            if number >= len(alone)
+        ]
+        try:
+            for finding in findings:
+                yield finding.result()
+        finally:
+            if not all(finding.done() for finding in findings):
+                for examiner in examiners:
+                    examiner.abandon()
 
 
 def _digest(record: Path) -> str:

@@ -11,6 +11,7 @@ ends or has died, a new worker checks the remaining clauses.
 import os
 import re
 import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self, final
@@ -39,9 +40,15 @@ class CannotTestError(Exception):
     """Loading the adaptation ends the process, or never ends; the text says where."""
 
 
+class AbandonedError(Exception):
+    """The worker was ended by `Supervisor.abandon`."""
+
+
 @final
 class Supervisor:
     """Checks the clauses of one job; a context manager that ends its worker.
+
+    Use it in one thread at a time; `abandon` may be called in any thread.
 
     Attributes:
         output: the last lines printed during the last check.
@@ -53,6 +60,8 @@ class Supervisor:
         self._child: Child | None = None
         self._loaded: Loaded | None = None
         self._has_loaded = False
+        self._is_abandoned = False
+        self._mutex = threading.Lock()  # of `_child`
 
     def __enter__(self) -> Self:
         self._start()
@@ -161,16 +170,27 @@ class Supervisor:
         claims: dict[str, str] = answer["claims"]
         return claims
 
+    def abandon(self) -> None:
+        """End the worker; a check in another thread raises AbandonedError, as all later ones."""
+        with self._mutex:
+            self._is_abandoned = True
+            if self._child is not None:
+                self._child.kill()
+
     def _start(self) -> Child:
         """Return the worker; start it if needed."""
-        if self._child is None:
-            self._child = Child()
-            self._child.ask({"job": self._job.packed(), "path": sys.path})
-            self._loaded = None
-        return self._child
+        with self._mutex:
+            if self._is_abandoned:
+                raise AbandonedError
+            if self._child is None:
+                self._child = Child()
+                self._child.ask({"job": self._job.packed(), "path": sys.path})
+                self._loaded = None
+            return self._child
 
     def _retire(self) -> None:
-        child, self._child = self._child, None
+        with self._mutex:
+            child, self._child = self._child, None
         if child is not None:
             child.close()
 

@@ -412,6 +412,19 @@ class CanDrive:
         assert sent.time_ns is not None  # checked by the link
         return sent.time_ns
 
+    @property
+    def is_owned(self) -> bool:
+        """True if this program owns the motor; False if no other program can."""
+        return self._fence is not None and self._fence.is_owned
+
+    def foreign_token(self) -> int:
+        """Return the token by which another program owns the motor now; 0: none does."""
+        lock = self.physical.ownership.lock
+        if lock is None or self.is_owned:
+            return 0
+        view = lock.look()
+        return 0 if view.holder is None else view.token
+
     def stream_fence(self, purpose: str) -> "BoundFence | None":
         """Return the fence of a stream that begins now; None: no other program can have the motor.
 

@@ -68,6 +68,11 @@ class SetpointStream:
         """True if more set-points will come."""
         return self._registration is not None
 
+    @property
+    def is_queued(self) -> bool:
+        """True until the first set-point was on the bus."""
+        return self._first is not None and self._first.time_ns is None
+
     def begin(self) -> "SentFrame":
         """Send the first set-point, and start the others; raise as `CanDrive.command`."""
         drive = self._drive

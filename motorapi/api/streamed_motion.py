@@ -76,6 +76,11 @@ class StreamedMotion:
         return self._stream is not None and self._stream.is_going
 
     @property
+    def is_queued(self) -> bool:
+        """True until the first set-point was on the bus: it replaces what is heard before."""
+        return self._stream is not None and self._stream.is_queued
+
+    @property
     def error(self) -> "MotorError | None":
         """The error that ended the last stream early, or None."""
         return None if self._stream is None else self._stream.error

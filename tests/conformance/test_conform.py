@@ -30,6 +30,7 @@ from tests.support.kit_benches import RIGS
 ROOT = Path(__file__).parents[2]
 WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
 MISBEHAVING = "tests.support.misbehaving_motors:build"
+THREE = ("--clause", "STATE-01", "--clause", "STOP-07", "--clause", "LOW-01")
 
 
 def conform(*words, seed):
@@ -145,6 +146,11 @@ def test_refused_claim_of_rig_fails_with_line_of_claim(tmp_path):
         (("--list", "--level", "L7"), "invalid level 'L7'; use L0 to L5"),
         (("--adaptation", "ideal", "--json", "no/x"), "no/x: folder no does not exist; create it"),
         (("--adaptation", "ideal", "--html", "."), ".: is a folder; name a file in it"),
+        (
+            ("--rig", "x", "--on", "y", "--workers", "2"),
+            "one clause after another; leave --workers",
+        ),
+        (("--rig", "x", "--fail-fast", "--workers", "2"), "leave --workers out"),
     ],
 )
 def test_wrong_usage_is_reported_in_one_line(words, told, tmp_path, monkeypatch, capfd):
@@ -260,6 +266,23 @@ def test_ctrl_c_ends_run_and_worker(tmp_path, monkeypatch):
     assert not Path(f"/proc/{worker}").exists()
 
 
+@pytest.mark.wall
+def test_ctrl_c_ends_all_workers(tmp_path, monkeypatch):
+    monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
+    monkeypatch.chdir(ROOT)
+    (tmp_path / "harm").write_text("works_for_ever_in_a_further_worker")
+    words = ("--adaptation", MISBEHAVING, "--workers", "2", "-o", str(tmp_path / "records"))
+    with beside("conform", *words, *THREE) as process:
+        while not (tmp_path / "harm.at").exists():
+            assert process.poll() is None
+        workers = [(tmp_path / f"harm.{which}").read_text() for which in ("first", "at")]
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)  # before the deadline of the check
+    assert (process.returncode, err) == (130, "motorhil: interrupted\n")
+    assert [line.split()[:2] for line in out.splitlines()] == [["STATE-01", "passed"]]
+    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)
+
+
 def test_list_prints_clauses_of_level(capfd):
     assert main(["conform", "--list", "--level", "0"]) == 0
     head, *rows = capfd.readouterr().out.splitlines()
@@ -278,7 +301,22 @@ def test_not_applicable_clause_has_reason():
     assert (verdict.result, verdict.seen) == (Result.NOT_APPLICABLE, "there is one motor only")
 
 
-THREE = ("--clause", "STATE-01", "--clause", "STOP-07", "--clause", "LOW-01")
+@pytest.mark.wall
+@pytest.mark.parametrize("harm", ["has_a_bug", "exits"])
+def test_several_workers_tell_the_same_in_the_same_order(tmp_path, monkeypatch, harm):
+    monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
+    (tmp_path / "harm").write_text(harm)
+    found = []
+    for count in ("1", "3"):
+        folder = tmp_path / count
+        folder.mkdir()
+        words = ("--adaptation", MISBEHAVING, "--level", "0", "--workers", count, "-o", str(folder))
+        done = conform(*words, "--json", str(folder / "found.json"), seed=0)
+        assert done.returncode == 1, done.stderr
+        told = done.stdout.partition("; first verdict")[0].replace(str(folder), ".")
+        found.append((told.splitlines(), found_in(folder)))
+    assert found[0] == found[1]
+    assert found[0][1]["counts"]["crashed"] == 2
 
 
 @pytest.fixture

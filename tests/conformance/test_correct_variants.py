@@ -6,7 +6,7 @@ import pytest
 
 from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.benches.variations import APART
+from motorhil.harness.conformance.benches.variations import APART, READ
 from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.job import Job
@@ -96,6 +96,8 @@ OTHERS_ONCE_ACCUSED = [
     ("moteus", "starts at 5 rad", "LIM-01"),  # its limit is rounded up: it was refused the way back
     ("oriental_az", "AZ drive keeps its trigger", "PROC-14"),  # it ignored the stop of a program
     ("leadshine", "Leadshine drive options", "SYNC-09"),  # told late, it stopped where it arrives
+    ("cia402", READ, "LOST-03"),  # the set-up by a reader hid the loss from the owner,
+    ("software", READ, "LOST-12"),  # and made a motion done that it had ended
 ]
 
 

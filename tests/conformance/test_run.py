@@ -1,5 +1,7 @@
 """Checks of clauses in this process: times, and the causes of errors."""
 
+import gc
+import os
 from pathlib import Path
 
 import pytest
@@ -62,3 +64,21 @@ def test_bench_is_only_opened_again_if_used():
         bench.runtime.run_for(0.1)
         bench.afresh()
         assert bench.runtime.now_ns() == 0
+
+
+@pytest.fixture
+def without_collections():
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.mark.parametrize("name", [f"PROC-{number:02}" for number in range(1, 8)])
+@pytest.mark.usefixtures("without_collections")
+def test_clause_of_locks_closes_their_files(name):
+    """A file that only garbage keeps open is waited for, 0.25 s for each clause."""
+    open_files = set(os.listdir("/proc/self/fd"))
+    with opener("ideal")() as bench:
+        all_clauses()[name].check(bench)
+    assert set(os.listdir("/proc/self/fd")) <= open_files

@@ -92,6 +92,15 @@ def test_misbehaviour_has_verdict_and_run_continues(supervisor, harm, result, se
         assert supervisor.output == ("the adaptation's last words",)
 
 
+def test_garbage_of_checks_is_bounded(supervisor):
+    supervisor.misbehave("leaves_garbage")
+    for _ in range(5):  # each leaves 100 MB
+        assert supervisor.check(CLAUSE).result is Result.PASSED
+    status = Path(f"/proc/{supervisor._child._process.pid}/status").read_text()
+    peak_kb = int(status.partition("VmHWM:")[2].split()[0])
+    assert peak_kb < 450_000
+
+
 @pytest.mark.parametrize(
     ("build", "told"),
     [("nothing", "None"), ("kind", "the class IdealMotor"), ("promised", "a 'coroutine'")],

@@ -166,5 +166,18 @@ def says_so_and_works_for_ever(motor):
     works_for_ever(motor)
 
 
+def works_for_ever_in_a_further_worker(motor):
+    first = Path(f"{os.environ['MISBEHAVE']}.first")
+    with contextlib.suppress(FileExistsError), open(first, "x") as file:
+        file.write(str(os.getpid()))
+    if first.read_text() != str(os.getpid()):
+        says_so_and_works_for_ever(motor)
+
+
+def leaves_garbage(motor):
+    cycle = [bytearray(50_000_000)]
+    cycle.append(cycle)
+
+
 def has_a_bug(motor):
     raise LookupError("a bug of the motor")

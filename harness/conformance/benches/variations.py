@@ -184,6 +184,11 @@ _GENERAL: Final = (
     *OPTIONS,
 )
 """Variations that not only rigs with CiA 402 drives can have, if their text has the places."""
+_CONTRADICTORY: Final = (
+    {"limited jerk", "linear axis"},
+    {"priority queues", "two buses with equal node-IDs"},
+)
+"""Pairs whose texts fit together, but make no rig."""
 _AND: Final = " + "
 OWN: Final = ""
 """The name of the rig as it is."""
@@ -235,6 +240,8 @@ def pairs_of(text: str, names: Sequence[str]) -> list[str]:
     """Return the pairs of these variations that the rig in this text can have."""
     found = []
     for first, second in combinations(names, 2):
+        if {first, second} in _CONTRADICTORY:
+            continue
         for pair in (f"{first}{_AND}{second}", f"{second}{_AND}{first}"):
             with suppress(ValueError):  # one removes what the other changes, or both set one key
                 tomllib.loads(text_of(text, changes_of(pair)))

@@ -19,7 +19,7 @@ from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import rest_for
 from motorhil.motorapi import MotorBusyError
 from motorhil.motorapi.locking.directory import LockDirectory
-from motorhil.motorapi.locking.process_lock import ProcessLock
+from motorhil.motorapi.locking.process_lock import ProcessLock, close_spare_files
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.ownership.claim import (
     AcquirePolicy,
@@ -110,10 +110,21 @@ class _Program:
 
 
 @contextmanager
+def _lock_folder() -> Iterator[Path]:
+    """Return a new folder for locks, whose files are closed at the end."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        try:
+            yield folder
+        finally:
+            close_spare_files(folder)
+
+
+@contextmanager
 def _programs(bench: RigProtocol, *names: str) -> Iterator[list[_Program]]:
     """Return programs that share one motor."""
-    with TemporaryDirectory() as folder:
-        yield [_Program(bench.runtime, Path(folder), name) for name in names]
+    with _lock_folder() as folder:
+        yield [_Program(bench.runtime, folder, name) for name in names]
 
 
 def _refusal(operation: Callable[[], object], what: str) -> MotorBusyError:
@@ -303,9 +314,9 @@ def _expect_sent(program: _Program, frame: tuple[bytes, int, int]) -> None:
 
 def _expect_joint(bench: RigProtocol) -> None:
     """Check a fence for several motors: it is open while all are owned."""
-    with TemporaryDirectory() as folder, ExitStack() as held:
+    with _lock_folder() as folder, ExitStack() as held:
         mine, theirs = (
-            [_Program(bench.runtime, Path(folder), name, motor) for motor in ("left", "right")]
+            [_Program(bench.runtime, folder, name, motor) for motor in ("left", "right")]
             for name in ("pan", "tilt")
         )
         fences = [one.fence for one in mine]
@@ -383,7 +394,7 @@ def _expect_kept_by_motion(bench: RigProtocol, one: _Program, other: _Program) -
 @clause("PROC-06", Level.L3, source=f"{_SOURCE}; turns on a bus")
 def turns_alternate_between_programs(bench: RigProtocol) -> None:
     """Programs take turns on what they share; the number of a turn grows with each, of any."""
-    with TemporaryDirectory() as folder:
+    with _lock_folder() as folder:
         one, other = (
             FifoQueue("SYNC", ProcessLock("sync", "SYNC", LockDirectory(folder))) for _ in "ab"
         )

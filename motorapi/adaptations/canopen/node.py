@@ -5,6 +5,7 @@
 
 import struct
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, STOPPED, CanopenBus
@@ -13,7 +14,7 @@ from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.objects import ObjectTable, Value
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel, decode_answer
 from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
-from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError
+from motorhil.motorapi.errors import DeadlineExceeded, LinkError, MotorBusyError, MotorError
 from motorhil.motorapi.locking.directory import bus_name
 from motorhil.motorapi.locking.process_lock import ProcessLock, can_share_time
 from motorhil.motorapi.runtime.api import ChangeCounter
@@ -44,6 +45,7 @@ class CanopenNode:
         lost_since_ns: the time since when the node is silent, or None.
         malformed: the number of frames of a wrong length.
         news: a counter of changes that may end a motion.
+        on_loss: called with the error of a loss, and the time [ns], before a set-up forgets it.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class CanopenNode:
             link, node_id, timeout_s=options.sdo_timeout_s, quarantine_s=options.sdo_quarantine_s
         )
         self.news: Final = ChangeCounter()
+        self.on_loss: Final[list[Callable[[MotorError, int], None]]] = []
         self.emergencies: Final[deque[Emergency]] = deque(maxlen=_EMERGENCIES_MAX)
         self.error: Emergency | None = None
         self.nmt_state: int | None = None
@@ -145,7 +148,12 @@ class CanopenNode:
             self.news.grow()
 
     def may_change_state(self) -> None:
-        """Permit boot-ups and other NMT states during the bring-up."""
+        """Permit boot-ups and other NMT states during the bring-up; report a loss before it."""
+        try:
+            self.check_link()
+        except LinkError as error:
+            for report in self.on_loss:
+                report(error, self.link.runtime.now_ns())
         self._watches_nmt = self._was_operational = False
         self._boots_known = self.boots
         self.news.grow()

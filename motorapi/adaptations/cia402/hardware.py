@@ -124,6 +124,7 @@ class Cia402HwMotor:
         self.link: Final[CanLink] = canopen_bus.link
         self.node: Final = DriveNode(canopen_bus, node_id, self.options)
         self.physical.news = self.node.news
+        self.node.on_loss.append(self.physical.fail)
         self.fence: Final = self._shared.attach(self.node, bus)
         self.objects: Final = ObjectAccess(self.node, self.physical)
         self._setting_up = TurnLock(runtime)

@@ -145,6 +145,7 @@ class AmplifierHwMotor:
         self.node: Final = self.io.node
         self.link: Final = self.io.link
         self.physical.news = self.node.news
+        self.node.on_loss.append(self.physical.fail)
         self.objects: Final = ObjectAccess(self.node, self.physical)
         self.axis: Final = ServoAxis(
             self.io,
@@ -177,6 +178,7 @@ class AmplifierHwMotor:
         with suppress(LinkError):  # if the bus is gone, the node's supervision of the host does it
             self.axis.cut()
         self.axis.end_switching_off()
+        self.node.on_loss.remove(self.physical.fail)
         self.io.on_facts.remove(self._take_place)
         self.io.on_inputs.remove(self.axis.see_inputs)
         if self._pair is not None:

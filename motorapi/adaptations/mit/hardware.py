@@ -6,6 +6,10 @@ hold. After an error of its stream that is the last set-point, until another pro
 Otherwise it sends a command to be limp, which only reads, and this only if no answer to
 another program was heard for a while.
 
+A position is held beyond the end of the ownership, but not against the next owner, whose commands
+need not be recognisable. An owner holds a motor that has current and no other commands. A stop of
+another program's motor is repeated until the motor has another owner, or its command is recognised.
+
 The state "on" is in the answers of Damiao and RobStride. Other drives do not tell it: it follows
 from the requests on the bus. A drive that nobody has switched on counts as off.
 """
@@ -24,6 +28,7 @@ from motorhil.motorapi.api import (
     ControlVariable,
     Estimate,
     LinkError,
+    MotorBusyError,
     Options,
     PeerError,
     SentFrame,
@@ -123,6 +128,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
         self.mismatch: str = ""
         self._stream(own.period_ms, 0.0)
         self._is_asking = False
+        self._stopped_token = 0  # of another program, which the last command has stopped
         self._deaf_ns = self._polled_ns = 0
         self._moved = self._summed = 0.0
         self._ratios: list[float] = []  # velocity to way, of the last ways that disagreed
@@ -176,6 +182,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
         self, variable: ControlVariable, value: float, fence: "BoundFence | None"
     ) -> SentFrame:
         """Send a set-point in rad, rad/s or N m, with what its derivatives need."""
+        self._stopped_token = 0
         command = self._of(variable, value, *self.motions.rates())
         return self.drive.command(*self.frames.command(command), fence=fence)
 
@@ -185,6 +192,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
 
     def stop_anyway(self) -> SentFrame:
         """Send the present command, whoever owns the motor."""
+        self._stopped_token = self.drive.foreign_token()
         return self.drive.stop_command(*self.frames.command(self.present()))
 
     def _of(self, variable: ControlVariable, value: float, first: float, second: float) -> Command:
@@ -278,9 +286,22 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
             self._lose()
         elif self._is_asking or motions.is_going:
             return
+        elif motions.variable is not None and self._is_taken():
+            self.forget()
         elif motions.variable is not None or now_ns - self.time_ns >= self.options.quiet_ms * 1e6:
-            with suppress(LinkError):
+            with suppress(LinkError, MotorBusyError):
+                self._take_hold()
                 self._ask()
+
+    def _is_taken(self) -> bool:
+        """Return whether another program has taken the motor since the last command."""
+        return self.drive.foreign_token() not in (0, self._stopped_token)
+
+    def _take_hold(self) -> None:
+        """Hold a motor that has current without commands, if this program owns it."""
+        is_free = self.motions.variable is None and self.drive.physical.access is None
+        if is_free and self._is_on and self.drive.is_owned:
+            self.hold()
 
     def _on_answer(self, can_id: int, data: bytes, time_ns: int) -> None:
         is_read = self.frames.maker is Maker.DAMIAO and data[:3] == self._reading
@@ -355,6 +376,9 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
         asked = self.frames.asked(can_id, data)
         if asked in (Special.ENTER, Special.LEAVE):
             self._is_on = asked is Special.ENTER
+        is_command = asked is True and can_id == self.frames.command(LIMP)[0]
+        if is_command and self.motions.is_queued:
+            return  # ours comes after it, and replaces it
         if asked:
             self.overheard(f"request {data.hex()}", time_ns)
 

@@ -62,3 +62,10 @@ def test_a_failure_tells_its_world_and_the_command_that_repeats_it(capsys):
     shown = capsys.readouterr().out
     assert "world 7" in shown
     assert "--benches 'world 7'" in shown
+
+
+@pytest.mark.parametrize("words", [["--on", "can0"], ["--controller", "drive"]])
+def test_only_emulated_drives_of_an_adaptation_are_disturbed(capsys, words):
+    rig = ["--rig", str(RIGS / "cia402.toml")]
+    assert main(["conform", *rig, *words, "--swarm", "1"]) == 2
+    assert "--swarm disturbs emulated drives" in capsys.readouterr().err

@@ -65,6 +65,29 @@ def test_other_users_in_a_second_program_have_locks_between():
         assert Ability.ONE_PROGRAM not in bench.abilities
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["limited jerk", "linear axis"],
+        ["priority queues", "two buses with equal node-IDs"],
+    ],
+)
+def test_pairs_leave_out_those_that_make_no_rig(names):
+    text = (RIGS / "cia402.toml").read_text()
+    assert len(pairs_of(text, [names[0], "friction"])) == 1
+    assert pairs_of(text, names) == []
+
+
+@pytest.mark.nightly
+def test_every_pair_makes_a_rig():
+    """A run on pairs ended with wrong usage where one did not."""
+    target = Target(Job("cia402"))
+    text = (RIGS / "cia402.toml").read_text()
+    for pair in pairs_of(text, target.variations):
+        with target.opener(None, pair)():
+            pass
+
+
 def test_pairs_not_met_are_counted():
     missing = not_met(["a", "b", "c", "a + b", "a + c"], {OWN, "a + b"})
     assert missing == ["c", "1 of 2 pairs"]

@@ -89,6 +89,19 @@ def test_drive_reboot_in_motion_raises_link_error(rig: Rig):
         motor.wait_until_done(timeout_s=5)
 
 
+def test_set_up_by_a_reader_keeps_loss_of_the_motion(rig: Rig):
+    motor = motor_of(rig)
+    reader = Cia402Motor(motor.hardware, motor.model, name="reader")
+    go_to(motor, 3.0)
+    rig.runtime.run_for(0.2)
+    motor.hardware.node.bus.nmt(0x81, 1)
+    rig.runtime.run_for(0.5)
+    reader.position()
+    with pytest.raises(LinkError, match="it has booted and lost its configuration"):
+        motor.wait_until_done(timeout_s=5)
+    reader.close()
+
+
 def test_foreign_switch_off_interrupts_the_motion(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
