@@ -124,7 +124,7 @@ class _Trial:
         is_late = self._run(rig, end_ns)
         if profiler is not None:
             self.profile = profiler.profile()
-        ended_ns = rig.runtime.now_ns()
+        ended_ns, acts = rig.runtime.now_ns(), observer.acts(self._world)
         self._judge(rig.description, record)
         row = Row(
             self._seed,
@@ -135,6 +135,7 @@ class _Trial:
             ended_by=self._ended_by,
             new=tuple(observer.pairs),
             met=tuple(properties.met().items()),
+            acts=acts,
             world=self._world,
         )
         if is_late:

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.harness.swarm.worlds.disturbance import World
+
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
 
@@ -58,6 +60,24 @@ class Observer:
         """Return the last event up to a time, or None."""
         earlier = [one for one in self.events if one.time_ns <= time_ns]
         return earlier[-1] if earlier else None
+
+    def acts(self, world: World) -> tuple[tuple[str, int], ...]:
+        """Return the kinds of a world's disturbances, and how often each has struck.
+
+        A rule of a bus or line counts what it has done. A change of an input has struck if its time
+        has come. All others hold from the beginning, and have struck once.
+        """
+        end_s = self._rig.runtime.now_ns() / 1e9
+        fired = self._rig.faults.fired()
+        counts: dict[str, int] = {}
+        numbers: dict[str, int] = {}
+        for one in world:
+            number = numbers[one.kind] = numbers.get(one.kind, 0) + 1
+            at_s = one.get("at_s")
+            count = int(not isinstance(at_s, float) or at_s <= end_s)
+            count = fired.get(f"{one.kind} {number}", count)
+            counts[one.kind] = counts.get(one.kind, 0) + count
+        return tuple(counts.items())
 
     def _take(self, time_ns: int, level: str, name: str, text: str) -> None:
         concerned = self._on_bus.get(name, [name])
