@@ -3,17 +3,18 @@
 import argparse
 import json
 import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED
+from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed, real, whole
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine
@@ -27,10 +28,10 @@ from motorhil.harness.swarm.plan import FUNCTION, PYTEST, SCRIPT, WALL_S, Plan, 
 from motorhil.harness.swarm.report.coverage import coverage_of
 from motorhil.harness.swarm.report.page import write_page
 from motorhil.harness.swarm.report.progress import Times, progress_in
-from motorhil.harness.swarm.report.sentences import story
+from motorhil.harness.swarm.report.sentences import failed
 from motorhil.harness.swarm.report.texts import as_table, counted, lines_of, progress_line
 from motorhil.harness.swarm.results import Results, create, open_results
-from motorhil.harness.swarm.row import CANARY, Row, row_from
+from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.summary import Summary, summary_of
 from motorhil.harness.swarm.worlds.disturbance import World
 from motorhil.harness.swarm.worlds.shrinking import cause_of, shrunk
@@ -347,11 +348,16 @@ def _run_one(options: argparse.Namespace, program: Program) -> int:
     from motorhil.harness.swarm.trial import tried_in
 
     plan = plan_of(options.rig, program, tuple(options.only), options.timeout)
-    row = tried_in(plan, options.seed or 0, options.world)
+    with redirect_stdout(sys.stderr) if options.json else nullcontext():  # what programs print
+        row = tried_in(plan, options.seed or 0, options.world)
+    if row.result is Result.CANCELLED:
+        print(row.text, file=sys.stderr)
+        return WRONG_USAGE
     if options.json:
         print(row.as_line())
     else:
-        print(story(row) if row.is_bad else f"passes; {row.end_ns / 1e9:g} s simulated")
+        what = failed(row) if row.is_bad else f"passes; {row.end_ns / 1e9:g} s simulated"
+        print(f"{options.world}: {what}")
     return FAILED if row.is_bad else PASSED
 
 

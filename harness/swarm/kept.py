@@ -127,10 +127,11 @@ def command(row: Row, plan: Plan, world: Path) -> str:
 def _test(row: Row, plan: Plan, path: Path) -> str:
     """Return a test as ruff formats it; a comma after each last argument keeps one a line."""
     home = path.parent
-    told = story(row).replace("\\", "\\\\").replace('"""', "'''")
+    told = story(row).replace('"""', "'''")
+    raw = "r" if "\\" in told else ""
     text = "\n".join(wrap(told, _COLUMNS, break_long_words=False))
     words = ", ".join(map(_quoted, plan.program.words))
-    return f'''"""Repeat a failure of a swarm.
+    return f'''{raw}"""Repeat a failure of a swarm.
 
 {text}
 """

@@ -13,14 +13,18 @@ _ORDINALS: Final = (
     *("sixth", "seventh", "eighth", "ninth", "tenth"),
 )
 _TIME: Final = re.compile(r"\d+\.\d{9} s:? ")
-_STEPS: Final = ((1.0, 1.0, "s"), (1e-3, 1e3, "ms"), (0.0, 1e6, "µs"))
+_STEPS: Final = ((0.9995, 1.0, "s"), (0.9995e-3, 1e3, "ms"), (0.0, 1e6, "µs"))
 
 
 def story(row: Row) -> str:
     """Return in a sentence, on one line, what happened in the world of a failure."""
     name = "The canary" if row.seed == CANARY else f"World {row.seed}"
-    happened = f"at {row.at_ns / 1e9:.6f} s {_TIME.sub('', row.text, count=1)}"
-    return line_of(f"{name}: {told(row.world)}; {happened}")
+    return line_of(f"{name}: {told(row.world)}; {failed(row)}")
+
+
+def failed(row: Row) -> str:
+    """Return when a world failed, and how, on one line."""
+    return line_of(f"at {row.at_ns / 1e9:.6f} s {_TIME.sub('', row.text, count=1)}")
 
 
 def told(world: World) -> str:
