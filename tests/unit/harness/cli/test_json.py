@@ -5,7 +5,7 @@ import json
 import pytest
 
 from motorhil.harness.cli.main import main, parsers
-from tests.support.campaigns import failure, written
+from tests.support.swarm.campaigns import failure, written
 
 NO_RESULTS = {"demo", "run", "serve", "completion"}  # they print what programs print, or a script
 LINES = {"show"}  # one document a line, as a recording may have no end

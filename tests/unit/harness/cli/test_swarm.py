@@ -15,8 +15,8 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.repeat import assert_holds
 from motorhil.harness.swarm.row import Result, Row
 from motorhil.traces.mcap.reader import read_trace
-from tests.support.campaigns import FOUND, HASTY, PLAN, failure, written
 from tests.support.command_line import environment, in_another_process
+from tests.support.swarm.campaigns import FOUND, HASTY, PLAN, failure, written
 
 SEEDS = 24
 

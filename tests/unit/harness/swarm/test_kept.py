@@ -12,7 +12,7 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.kept import command, keep, kept_in, name_of, record_of
 from motorhil.harness.swarm.plan import PYTEST, SCRIPT, Program
 from motorhil.harness.swarm.report.sentences import story
-from tests.support.campaigns import PLAN, failure
+from tests.support.swarm.campaigns import PLAN, failure
 
 NASTY = 'he said """a\\b""" in 漢字 and \'c\'\nd, ' + 20 * "many words "
 

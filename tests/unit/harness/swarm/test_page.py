@@ -15,8 +15,8 @@ from motorhil.harness.swarm.report.page import page_of, write_page
 from motorhil.harness.swarm.report.progress import Progress
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.summary import summary_of
-from tests.support.campaigns import FOUND, PLAN, failure
 from tests.support.recordings.handmade import Recorded
+from tests.support.swarm.campaigns import FOUND, PLAN, failure
 
 NOW = 1_796_000_000.0
 VOID = {"meta", "link"}

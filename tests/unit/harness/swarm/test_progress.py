@@ -6,7 +6,7 @@ import pytest
 
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.report.progress import Progress, Times, progress_in
-from tests.support.campaigns import failure
+from tests.support.swarm.campaigns import failure
 
 
 def rows(*seeds):

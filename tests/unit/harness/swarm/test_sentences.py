@@ -6,7 +6,7 @@ from motorhil.harness.rig.config.worlds import WEIGHTS
 from motorhil.harness.swarm.report.sentences import duration, sentence, story, told
 from motorhil.harness.swarm.row import CANARY
 from motorhil.harness.swarm.worlds.disturbance import Disturbance
-from tests.support.campaigns import CUT, DROP, failure
+from tests.support.swarm.campaigns import CUT, DROP, failure
 
 HIT = {"sender": "left", "identifier": 0x581, "skip": 1, "limit": 1}
 SENT = {"sender": "host", "skip": 11, "limit": 3}

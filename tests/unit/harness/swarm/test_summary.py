@@ -13,7 +13,7 @@ from motorhil.harness.swarm.report.texts import as_table, lines_of, progress_lin
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.summary import Strikes, summary_of
 from motorhil.harness.swarm.worlds.drawing import possible
-from tests.support.campaigns import FOUND, PLAN, PROFILE, failure
+from tests.support.swarm.campaigns import FOUND, PLAN, PROFILE, failure
 
 
 def passed(seed, **more):
