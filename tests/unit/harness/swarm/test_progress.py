@@ -45,7 +45,7 @@ def test_parts_of_several_machines_merge(tmp_path):
     one, other = Times(tmp_path, (1, 2), 0, 10, 100.0), Times(tmp_path, (2, 2), 5, 10, 101.0)
     one.take(rows(0, 1), 104.0)
     other.take(rows(2), 102.0)
-    one.end(105.0)
+    other.end(103.0)
     found = progress_in(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "times-1-of-2.jsonl",
@@ -53,7 +53,7 @@ def test_parts_of_several_machines_merge(tmp_path):
     ]
     assert (found.asked, found.begun_s, found.is_over) == (15, 100.0, False)
     assert found.seen(rows(2)) < found.seen(rows(0))
-    other.end(106.0)
+    one.end(106.0)
     assert progress_in(tmp_path).is_over
 
 
