@@ -274,7 +274,8 @@ class _Watch:
             cause_of(row) for row in results.rows.values() if row.is_bad and row.seed != CANARY
         )
         self._times = Times(results.folder, part, options.first, options.seeds, time.time())
-        self.draw([])
+        self._kept = kept_in(results.folder)
+        self.draw(self._kept)
 
     def take(self, rows: list[Row]) -> None:
         """Take the rows of a chunk."""
@@ -290,7 +291,7 @@ class _Watch:
             failures = f"{counted(self._failures.total(), 'failure')} of {causes}"
         self._line.show(progress_line(failures, done, self._asked, rate))
         if now >= self._page:
-            self.draw([])
+            self.draw(self._kept)
 
     def say(self, text: str) -> None:
         """Show another line."""
@@ -318,12 +319,17 @@ class _Watch:
 def _kept(
     plan: Plan, results: Results, engine: Executor, watch: _Watch, shrinks: bool
 ) -> list[Kept]:
-    """Shrink a failure of each cause, record it, and write it to files."""
+    """Shrink a failure of each cause, record it, and write it to files, unless they are there."""
     found: list[Kept] = []
+    earlier = {one.cause: one for one in kept_in(results.folder)}
     causes = summary_of(results.rows.values()).causes
     for number, cause in enumerate(causes, 1):
         watch.say(f"shrinking {number} of {len(causes)}: {cause.name}")
-        row = cause.first
+        row, known = cause.first, earlier.get(cause.name)
+        is_small = known is not None and (not shrinks or known.row.world != row.world)
+        if known is not None and is_small and known.row.seed == row.seed:
+            found.append(known)
+            continue
         if shrinks and row.world:
             row = shrunk(row, partial(_again, plan, engine, row.seed))
         record = record_of(row, results.folder)

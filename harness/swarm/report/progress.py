@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, TextIO, final
 
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.swarm.lanes import LANES
 from motorhil.harness.swarm.row import Row
 
 TIMES: Final = "times*.jsonl"
@@ -71,7 +72,7 @@ class Times:
     ) -> None:
         number, count = part
         self._path = folder / ("times.jsonl" if count == 1 else f"times-{number}-of-{count}.jsonl")
-        self._write({"at": at_s, "first": first, "asked": seeds})
+        self._write({"at": at_s, "first": first, "asked": seeds, "part": part})
 
     def take(self, rows: Iterable[Row], at_s: float) -> None:
         """Add the rows of a chunk."""
@@ -97,14 +98,16 @@ def _add(file: TextIO, table: Mapping[str, object]) -> None:
 def progress_in(folder: Path) -> Progress:
     """Return the progress of a campaign, as far as its folder has times."""
     came: list[tuple[float, list[int]]] = []
-    ranges: list[tuple[int, int]] = []
+    ranges: dict[int, list[tuple[int, int]]] = {lane: [] for lane in range(LANES)}
     begun: list[float] = []
     is_over = True
     for file in sorted(folder.glob(TIMES)):
         runs = False
         for table in _tables_in(file):
             if "asked" in table:
-                ranges.append((table["first"], table["first"] + table["asked"]))
+                number, count = table["part"]
+                for lane in range(number - 1, LANES, count):
+                    ranges[lane].append((table["first"], table["first"] + table["asked"]))
                 begun.append(table["at"])
             came.append((table["at"], table.get("seeds", [])))
             runs = "ended" not in table
@@ -122,7 +125,8 @@ def progress_in(folder: Path) -> Progress:
         for seed in seeds:
             seen_s.setdefault(seed, took_s)
     rate = _rate(counts, took_s)
-    return Progress(_union(ranges), min(begun), before_s, took_s, is_over, rate, seen_s)
+    asked = sum(_union(lane, some) for lane, some in ranges.items())
+    return Progress(asked, min(begun), before_s, took_s, is_over, rate, seen_s)
 
 
 def _tables_in(file: Path) -> Iterable[dict[str, Any]]:
@@ -138,13 +142,18 @@ def _tables_in(file: Path) -> Iterable[dict[str, Any]]:
     return tables
 
 
-def _union(ranges: list[tuple[int, int]]) -> int:
-    """Return the number of seeds in some ranges, each counted once."""
+def _union(lane: int, ranges: list[tuple[int, int]]) -> int:
+    """Return the number of a lane's seeds in some ranges, each counted once."""
     count, end = 0, 0
     for low, high in sorted(ranges):
-        count += max(0, high - max(low, end))
+        count += len(range(_first(lane, max(low, end)), high, LANES))
         end = max(end, high)
     return count
+
+
+def _first(lane: int, low: int) -> int:
+    """Return the lowest seed of a lane from `low` on."""
+    return low + (lane - low) % LANES
 
 
 def _rate(counts: list[tuple[float, int]], took_s: float) -> tuple[tuple[float, float], ...]:

@@ -185,6 +185,17 @@ def test_one_world_prints_one_line_or_one_document(folder, capfd):
     assert err == "said\n"
 
 
+def test_resumed_campaign_keeps_what_it_has_kept(folder, campaign):
+    before = {path: path.stat().st_mtime_ns for path in (folder / "out/failures").iterdir()}
+    words = ("swarm", "wheels/rig.toml", "errand:run", "--seeds", str(SEEDS), "--json")
+    done = in_another_process(*words, "-o", "out", "--resume")
+    assert done.returncode == 1, done.stderr
+    found, first = json.loads(done.stdout), json.loads(campaign[1].stdout)
+    assert (found["kept"], found["results"]) == (first["kept"], first["results"])
+    after = {path: path.stat().st_mtime_ns for path in (folder / "out/failures").iterdir()}
+    assert after == before
+
+
 # --- --show
 
 

@@ -51,10 +51,28 @@ def test_parts_of_several_machines_merge(tmp_path):
         "times-1-of-2.jsonl",
         "times-2-of-2.jsonl",
     ]
-    assert (found.asked, found.begun_s, found.is_over) == (15, 100.0, False)
+    # part 1 of seeds 0 to 9: 0, 2, 4, 6, 8; part 2 of seeds 5 to 14: 5, 7, 9, 11, 13
+    assert (found.asked, found.begun_s, found.is_over) == (10, 100.0, False)
     assert found.seen(rows(2)) < found.seen(rows(0))
     one.end(106.0)
     assert progress_in(tmp_path).is_over
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ([((1, 1), 0, 10), ((1, 1), 0, 10)], 10),
+        ([((1, 1), 0, 10), ((1, 1), 5, 10)], 15),
+        ([((1, 1), 20, 10), ((1, 1), 0, 10)], 20),
+        ([((1, 3), 0, 48), ((2, 3), 0, 48), ((3, 3), 0, 48)], 48),
+        ([((16, 16), 0, 15)], 0),
+        ([((16, 16), 0, 16)], 1),
+    ],
+)
+def test_asked_counts_each_seed_once(tmp_path, asked, expected):
+    for part, first, seeds in asked:
+        Times(tmp_path, part, first, seeds, 100.0)
+    assert progress_in(tmp_path).asked == expected
 
 
 def test_damaged_lines_are_left_out(tmp_path):
@@ -85,7 +103,7 @@ def test_lines_have_seeds_and_times_only(tmp_path):
     times.end(102.0)
     lines = (tmp_path / "times.jsonl").read_text().splitlines()
     assert [json.loads(line) for line in lines] == [
-        {"at": 100.0, "first": 5, "asked": 10},
+        {"at": 100.0, "first": 5, "asked": 10, "part": [1, 1]},
         {"at": 101.0, "seeds": [5]},
         {"at": 102.0, "ended": True},
     ]
