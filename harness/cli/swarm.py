@@ -27,7 +27,7 @@ from motorhil.harness.swarm.lanes import lane_of
 from motorhil.harness.swarm.plan import FUNCTION, PYTEST, SCRIPT, WALL_S, Plan, Program, plan_of
 from motorhil.harness.swarm.report.coverage import coverage_of
 from motorhil.harness.swarm.report.page import write_page
-from motorhil.harness.swarm.report.progress import Times, progress_in
+from motorhil.harness.swarm.report.progress import Progress, Times, progress_in
 from motorhil.harness.swarm.report.sentences import failed
 from motorhil.harness.swarm.report.texts import as_table, counted, lines_of, progress_line
 from motorhil.harness.swarm.results import Results, create, open_results
@@ -175,6 +175,10 @@ def run(options: argparse.Namespace) -> int:
             _tell(plan, results, kept_in(results.folder), options)
             tell(f"interrupted; go on with --resume -o {results.folder}")
             return INTERRUPTED
+        except RigError:
+            watch.end()
+            _page(plan, results, kept_in(results.folder))
+            raise
         finally:
             watch.end()
     return _status(_tell(plan, results, kept, options), tell)
@@ -300,12 +304,7 @@ class _Watch:
     def draw(self, kept: list[Kept]) -> None:
         """Write the page; the next one only after much more time than this one took."""
         begun = time.monotonic()
-        summary, progress = (
-            summary_of(self._results.rows.values()),
-            progress_in(self._results.folder),
-        )
-        folder = self._results.folder
-        write_page(folder, self._plan, summary, kept, progress, time.time(), is_running=True)
+        _page(self._plan, self._results, kept, is_running=True)
         self._page = time.monotonic() + max(_PAGE_S, _PAGE_SHARE * (time.monotonic() - begun))
 
     def end(self) -> None:
@@ -381,8 +380,7 @@ def _show(options: argparse.Namespace) -> int:
 
 def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Namespace) -> Summary:
     """Write the page, and print the findings; return them."""
-    summary, progress = summary_of(results.rows.values()), progress_in(results.folder)
-    page = write_page(results.folder, plan, summary, kept, progress, time.time())
+    page, summary, progress = _page(plan, results, kept)
     found = summary, kept, plan, coverage_of(plan, summary), progress
     if options.json:
         print(json.dumps({**as_table(*found), "page": str(page)}, indent=1))
@@ -391,3 +389,13 @@ def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Name
         print(line)
     print(f"page: {page}")
     return summary
+
+
+def _page(
+    plan: Plan, results: Results, kept: list[Kept], *, is_running: bool = False
+) -> tuple[Path, Summary, Progress]:
+    """Write the page; return its file, and the findings in it."""
+    folder = results.folder
+    summary, progress = summary_of(results.rows.values()), progress_in(folder)
+    page = write_page(folder, plan, summary, kept, progress, time.time(), is_running=is_running)
+    return page, summary, progress

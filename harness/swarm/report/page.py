@@ -32,7 +32,7 @@ RELOAD_S: Final = 5
 _POINTS: Final = 400
 _CAUSES: Final = 200
 _STYLE: Final = """
-main { padding: 0 16px 30px; max-width: 1200px }
+main { padding: 0 16px 30px; max-width: 1200px; overflow-wrap: anywhere }
 section { padding-top: 18px } section > h2 { display: block; margin-bottom: 4px }
 .wide { overflow-x: auto } table { border-collapse: collapse }
 td, th { text-align: left; padding: 2px 16px 2px 0; vertical-align: top;
@@ -99,7 +99,7 @@ def page_of(
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     sections = (
         _results(summary),
-        _causes(summary, progress),
+        _causes(summary, progress, {one.cause for one in kept}),
         _kept(folder, plan, kept),
         _curves(summary, progress),
         _disturbances(summary),
@@ -181,11 +181,11 @@ def _results(summary: Summary) -> str:
     return _section("Results", _table(("result", "worlds"), rows))
 
 
-def _causes(summary: Summary, progress: Progress) -> str:
+def _causes(summary: Summary, progress: Progress, kept: set[str]) -> str:
     if not summary.causes:
         return _section("Causes of failures", "<p>No world has failed.</p>")
     heads = ("cause", "worlds", "first seed", "seen after", "signatures")
-    rows = "".join(_cause(one, progress) for one in summary.causes[:_CAUSES])
+    rows = "".join(_cause(one, progress, one.name in kept) for one in summary.causes[:_CAUSES])
     more = len(summary.causes) - _CAUSES
     left_out = f"<p>{counted(more, 'more cause')}: see --json.</p>" if more > 0 else ""
     head = "".join(
@@ -195,14 +195,16 @@ def _causes(summary: Summary, progress: Progress) -> str:
     return _section("Causes of failures", table)
 
 
-def _cause(cause: Cause, progress: Progress) -> str:
+def _cause(cause: Cause, progress: Progress, is_kept: bool) -> str:
+    """Return the row of a cause, with a sentence unless it has an article of its own."""
+    told = "" if is_kept else f"<br>{_text(story(cause.first))}"
     seen_s = progress.seen(cause.rows)
     signatures = "".join(
         f"<li>{_text(name)}: {count}</li>" for name, count in cause.signatures[:_CAUSES]
     )
     number = counted(len(cause.signatures), "signature")
     return (
-        f"<tr><td>{_text(cause.name)}</td>"
+        f"<tr><td>{_text(cause.name)}{told}</td>"
         f'<td class="n">{len(cause.rows)}</td><td class="n">{cause.lowest}</td>'
         f'<td class="n">{"" if seen_s is None else span(seen_s)}</td>'
         f"<td><details><summary>{number}</summary><ul>{signatures}</ul></details></td></tr>"

@@ -185,6 +185,17 @@ def test_one_world_prints_one_line_or_one_document(folder, capfd):
     assert err == "said\n"
 
 
+def test_page_of_broken_campaign_does_not_reload(wheels):
+    (wheels / "out").mkdir()
+    (wheels / "out/rows.jsonl").symlink_to("/dev/full")
+    done = in_another_process("swarm", *RUN, "--seeds", "2", "-o", "out", "--workers", "1")
+    assert done.returncode == 2
+    assert "out/rows.jsonl: cannot be written: No space left on device" in done.stderr
+    page = (wheels / "out/index.html").read_text()
+    assert 'http-equiv="refresh"' not in page
+    assert "The results of 2 worlds are missing" in page
+
+
 def test_resumed_campaign_keeps_what_it_has_kept(folder, campaign):
     before = {path: path.stat().st_mtime_ns for path in (folder / "out/failures").iterdir()}
     words = ("swarm", "wheels/rig.toml", "errand:run", "--seeds", str(SEEDS), "--json")

@@ -19,7 +19,7 @@ from tests.support.recordings.handmade import Recorded
 from tests.support.swarm.campaigns import FOUND, PLAN, failure
 
 NOW = 1_796_000_000.0
-VOID = {"meta", "link"}
+VOID = {"meta", "link", "br"}
 ROWS = [
     FOUND,
     Row(0, Result.PASSED, met=(("retried", 1), ("late", 0)), acts=(("drop", 2), ("cut", 0))),
@@ -70,13 +70,23 @@ def test_page_shows_results_causes_and_coverage(tmp_path):
     for expected in (
         *("rig|rig.toml", "program|errand:run", "motorhil|1.0 abc", "worlds|4 of 10 asked for"),
         *("canary|found by always, limit-velocity", "began|2026-11-30", "took|2 min"),
-        *("pass|2|fail|2|timeout|0|killed|0|cancelled|0", "limit-position | a & b | -|1|2|5 s"),
+        *(
+            "pass|2|fail|2|timeout|0|killed|0|cancelled|0",
+            "limit-position | a & b | -|World 2: the second",
+        ),
         *("1 pair met", "cut|1|0|0", "drop|3|3|4", "retried|1", "LinkError|1"),
         *("condition that was never true|late", "disturbance that never struck|cut"),
+        "a & b|1|2|5 s",
         *("operation enabled", "The results of 6 worlds are missing"),
     ):
         assert expected in found.text, expected
     assert sum(tag == "polyline" for tag, _ in found.elements) == 2
+
+
+def test_each_cause_has_one_sentence(tmp_path):
+    kept = [keep(failure(3), PLAN, tmp_path)]
+    text = Page(page(tmp_path, kept=kept)).text
+    assert re.findall(r"\|World (\d): ", text) == ["2", "3"]
 
 
 def test_page_of_empty_campaign_is_whole(tmp_path):
