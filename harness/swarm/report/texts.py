@@ -51,6 +51,8 @@ def lines_of(
         yield f"   test:  {one.test}"
     if len(summary.causes) > SHOWN:
         yield f"and {counted(len(summary.causes) - SHOWN, 'more cause')}; see the page, or --json"
+    if summary.worlds and not summary.strikes and not coverage.undrawn:
+        yield "no disturbance is possible on this rig, or its [swarm] switches all off"
     if coverage.unmet:
         yield f"never true: {', '.join(map(one_line, coverage.unmet))}"
     if coverage.undrawn:
@@ -95,6 +97,8 @@ def as_table(
         "worlds_per_s": progress.mean,
         "results": {one.value: summary.counts.get(one, 0) for one in Result},
         "pairs": summary.pairs,
+        "growth": [list(one) for one in summary.growth],
+        "states": list(coverage.states),
         "canary": summary.canary,
         "sometimes": summary.reached,
         "ended_by": summary.ended_by,

@@ -134,6 +134,15 @@ def test_lines_list_at_most_twenty_causes():
     assert len(table["causes"]) == 23
 
 
+def test_lines_tell_that_nothing_can_be_disturbed():
+    still = replace(PLAN, profile=replace(PROFILE, traffic=(), subjects=()))
+    text = "no disturbance is possible on this rig, or its [swarm] switches all off"
+    for plan, expected in ((still, 1), (PLAN, 0)):
+        summary = summary_of([passed(0)])
+        shown = lines_of(summary, (), plan, coverage_of(plan, summary), Progress())
+        assert list(shown).count(text) == expected
+
+
 def test_lines_cannot_control_a_terminal():
     rows = [failure(1, text="a\x1b[2J"), passed(2, met=(("b\x1b[2J", 0),), ended_by="c\x1b[2J")]
     shown = lines(rows)
@@ -156,9 +165,12 @@ def test_progress_line_tells_rate_failures_and_time_left():
 
 def test_json_has_all_that_the_page_has(tmp_path):
     kept = keep(failure(3), PLAN, tmp_path)
-    summary = summary_of([FOUND, failure(3), passed(4, met=(("a", 0),), acts=(("cut", 0),))])
+    summary = summary_of(
+        [FOUND, failure(3), passed(4, met=(("a", 0),), acts=(("cut", 0),), new=("7 after x | y",))]
+    )
     table = as_table(summary, [kept], PLAN, coverage_of(PLAN, summary), Progress())
     assert table["results"] == {"pass": 1, "fail": 1, "timeout": 0, "killed": 0, "cancelled": 0}
+    assert (table["growth"], table["states"]) == ([[2, 1]], ["fault"])
     assert table["disturbances"]["cut"] == {"worlds": 1, "struck": 0, "times": 0}
     assert (table["never"]["true"], table["never"]["struck"]) == (["a"], ["cut"])
     (one,) = table["kept"]
