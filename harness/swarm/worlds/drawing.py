@@ -1,6 +1,6 @@
 """Drawing of worlds, and their mutation, from a stream of random numbers."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import exp, log
 from random import Random
 from typing import Final
@@ -15,7 +15,6 @@ _ERRORS: Final = tuple(one.value for one in FrameError)
 _CODES: Final = (0x2310, 0x3210, 0x3220, 0x4310, 0x5441, 0x7300, 0x8611)
 """EMCY error codes of CiA 402: current, voltage, temperature, contacts, sensor, following error."""
 _DIGITS: Final = 3
-_DRAWS_MAX: Final = 20
 _ONCE: Final = ("interleaving", "quirk", "clock")
 """Kinds of which one place has at most one."""
 _Draw = Callable[[Random, Profile, SwarmTable], Disturbance | None]
@@ -56,7 +55,7 @@ def _added(world: World, random: Random, profile: Profile, table: SwarmTable) ->
     kinds = [kind for kind in WEIGHTS if table.weight(kind) > 0.0]
     if not kinds:
         return world
-    for _ in range(_DRAWS_MAX):
+    for _ in range(20):
         kind = random.choices(kinds, [table.weight(one) for one in kinds])[0]
         one = _DRAWS[kind](random, profile, table)
         if one is not None and not _is_there(world, one):
@@ -274,6 +273,18 @@ _DRAWS: Final[Mapping[str, _Draw]] = {
 assert list(_DRAWS) == list(WEIGHTS)
 
 
+def kinds_of(worlds: Sequence[World]) -> dict[str, int]:
+    """Return how many disturbances of each kind some worlds have."""
+    counts: dict[str, int] = {}
+    for world in worlds:
+        for one in world:
+            counts[one.kind] = counts.get(one.kind, 0) + 1
+    return counts
+
+
+_TRIES: Final = 20
+
+
 def possible(profile: Profile, table: SwarmTable) -> tuple[str, ...]:
     """Return the kinds of disturbances that worlds of a rig can have."""
     random = Random("possible")
@@ -281,5 +292,5 @@ def possible(profile: Profile, table: SwarmTable) -> tuple[str, ...]:
         kind
         for kind in WEIGHTS
         if table.weight(kind) > 0.0
-        and any(_DRAWS[kind](random, profile, table) is not None for _ in range(_DRAWS_MAX))
+        and any(_DRAWS[kind](random, profile, table) is not None for _ in range(_TRIES))
     )
