@@ -6,14 +6,14 @@ a campaign.
 """
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.harness.swarm.worlds.disturbance import World
-
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
+    from motorhil.harness.swarm.worlds.disturbance import World
 
 _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[+-]?\d+)?\b")
 _FAULT: Final = re.compile(r"(?P<kind>[a-z]+) \d+: (?P<what>[^0-9]*?) ?(?P<id>[0-9A-F]+)?h?")
@@ -61,7 +61,7 @@ class Observer:
         earlier = [one for one in self.events if one.time_ns <= time_ns]
         return earlier[-1] if earlier else None
 
-    def acts(self, world: World) -> tuple[tuple[str, int], ...]:
+    def acts(self, world: "World") -> Counter[str]:
         """Return the kinds of a world's disturbances, and how often each has struck.
 
         A rule of a bus or line counts what it has done. A change of an input has struck if its time
@@ -69,15 +69,14 @@ class Observer:
         """
         end_s = self._rig.runtime.now_ns() / 1e9
         fired = self._rig.faults.fired()
-        counts: dict[str, int] = {}
-        numbers: dict[str, int] = {}
+        counts: Counter[str] = Counter()
+        numbers: Counter[str] = Counter()
         for one in world:
-            number = numbers[one.kind] = numbers.get(one.kind, 0) + 1
+            numbers[one.kind] += 1
             at_s = one.get("at_s")
             count = int(not isinstance(at_s, float) or at_s <= end_s)
-            count = fired.get(f"{one.kind} {number}", count)
-            counts[one.kind] = counts.get(one.kind, 0) + count
-        return tuple(counts.items())
+            counts[one.kind] += fired.get(f"{one.kind} {numbers[one.kind]}", count)
+        return counts
 
     def _take(self, time_ns: int, level: str, name: str, text: str) -> None:
         concerned = self._on_bus.get(name, [name])
@@ -92,6 +91,14 @@ class Observer:
         if name not in self._rig.description.controllers:
             return "-"
         return state_class(self._rig.world.snapshot(name))
+
+
+def acts_of(world: "World", observers: Iterable[Observer]) -> tuple[tuple[str, int], ...]:
+    """Return the kinds of a world's disturbances, and how often each has struck in all rigs."""
+    counts: Counter[str] = Counter({one.kind: 0 for one in world})
+    for one in observers:
+        counts.update(one.acts(world))
+    return tuple(counts.items())
 
 
 def state_class(truth: Mapping[str, float]) -> str:
