@@ -190,7 +190,7 @@ def test_page_of_broken_campaign_does_not_reload(wheels):
     (wheels / "out/rows.jsonl").symlink_to("/dev/full")
     done = in_another_process("swarm", *RUN, "--seeds", "2", "-o", "out", "--workers", "1")
     assert done.returncode == 2
-    assert "out/rows.jsonl: cannot be written: No space left on device" in done.stderr
+    assert "out/rows.jsonl: cannot be written: " in done.stderr
     page = (wheels / "out/index.html").read_text()
     assert 'http-equiv="refresh"' not in page
     assert "The results of 2 worlds are missing" in page
