@@ -3,15 +3,18 @@
 import argparse
 import json
 import os
+import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED
+from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed, real, whole
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine
@@ -19,19 +22,25 @@ from motorhil.harness.oracles.judge import IDS
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
 from motorhil.harness.swarm.engine import dask, end_workers, local, run_chunk
-from motorhil.harness.swarm.kept import Kept, command, keep, story
-from motorhil.harness.swarm.page import write_page
+from motorhil.harness.swarm.kept import Kept, keep, kept_in, record_of
+from motorhil.harness.swarm.lanes import lane_of
 from motorhil.harness.swarm.plan import FUNCTION, PYTEST, SCRIPT, WALL_S, Plan, Program, plan_of
+from motorhil.harness.swarm.report.coverage import coverage_of
+from motorhil.harness.swarm.report.page import write_page
+from motorhil.harness.swarm.report.progress import Progress, Times, progress_in
+from motorhil.harness.swarm.report.sentences import failed
+from motorhil.harness.swarm.report.texts import as_table, counted, lines_of, progress_line
 from motorhil.harness.swarm.results import Results, create, open_results
-from motorhil.harness.swarm.row import Result, Row, row_from
+from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.summary import Summary, summary_of
 from motorhil.harness.swarm.worlds.disturbance import World
 from motorhil.harness.swarm.worlds.shrinking import cause_of, shrunk
 
 _FOLDER: Final = Path("out/swarm")
 _SEEDS: Final = 1000
-_SHOWN: Final = 20
 _PAGE_S: Final = 5.0
+_PAGE_SHARE: Final = 20.0
+"""Times as long as writing a page takes, until the next one is written."""
 _EPILOG: Final = """\
 PROGRAM is a script, or "package.module:function", which is called with the open rig. Each seed
 makes a world of the rig: faults, loads, clocks, plants and turns differ. Oracles judge each run; so
@@ -46,9 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.usage = (
         "motorhil swarm [options] RIG PROGRAM [-- ARGS ...]\n"
-        "       motorhil swarm [options] RIG --pytest NODEID [-- ARGS ...]"
+        "       motorhil swarm [options] RIG --pytest NODEID [-- ARGS ...]\n"
+        "       motorhil swarm [--json] --show DIR"
     )
-    parser.add_argument("rig", type=Path, metavar="RIG", help="a rig file (TOML)")
+    parser.add_argument("rig", nargs="?", type=Path, metavar="RIG", help="a rig file (TOML)")
     parser.add_argument("program", nargs="?", metavar="PROGRAM", help="a script or a function")
     parser.add_argument("--pytest", metavar="NODEID", help="a test or a file of tests instead")
     _add_seeds(parser)
@@ -63,6 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--world", type=Path, metavar="FILE", help="run only this fragment")
     add_seed(parser)
+    parser.add_argument(
+        "--show",
+        type=Path,
+        metavar="DIR",
+        help="print the findings of a folder and write its page; run nothing",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -137,45 +153,41 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         RigError: the rig, the program, the folder or the engine cannot be used.
     """
+    if options.show is not None:
+        return _show(options)
     program = _program(options)
     if options.world is not None:
         return _run_one(options, program)
-    plan, results = _begun(options, program)
     engine, part = _engine(options)
     tell = teller("swarm")
-    try:
-        with _ending(engine):
-            campaign = Campaign(
-                plan,
-                results,
-                engine,
-                options.workers,
-                guided=not options.no_guidance,
-                part=part,
-            )
-            watch = _Watch(plan, results, options.seeds)
-            until = None if options.for_s is None else time.monotonic() + options.for_s
-            try:
-                campaign.run(seeds_of(options.first, options.seeds), watch.take, until)
-            finally:
-                watch.end()
-            kept = _kept(plan, results, engine, shrinks=not options.no_shrink)
-    except KeyboardInterrupt:
-        summary = summary_of(results.rows.values())
-        write_page(results.folder, plan, summary, [])
-        _print(summary, [], plan, options)
-        tell(f"interrupted; go on with --resume -o {results.folder}")
-        return INTERRUPTED
-    summary = summary_of(results.rows.values())
-    write_page(results.folder, plan, summary, kept)
-    _print(summary, kept, plan, options)
-    return _status(summary, tell)
+    kept: list[Kept] = []
+    with _ending(engine):
+        plan, results = _begun(options, program)
+        guided = not options.no_guidance
+        campaign = Campaign(plan, results, engine, options.workers, guided=guided, part=part)
+        watch = _Watch(plan, results, options, part)
+        until = None if options.for_s is None else time.monotonic() + options.for_s
+        try:
+            campaign.run(seeds_of(options.first, options.seeds), watch.take, until)
+            kept = _kept(plan, results, engine, watch, shrinks=not options.no_shrink)
+        except KeyboardInterrupt:
+            watch.end()
+            _tell(plan, results, kept_in(results.folder), options)
+            tell(f"interrupted; go on with --resume -o {results.folder}")
+            return INTERRUPTED
+        except RigError:
+            watch.end()
+            _page(plan, results, kept_in(results.folder))
+            raise
+        finally:
+            watch.end()
+    return _status(_tell(plan, results, kept, options), tell)
 
 
 def _status(summary: Summary, tell: Callable[[str], None]) -> int:
     if summary.failures:
         return FAILED
-    if summary.canary is not None and "always" not in summary.canary:
+    if not summary.found_canary:
         tell("the canary was not found: the campaign proves nothing; is every oracle switched off?")
         return NOT_JUDGED
     if not summary.worlds:
@@ -189,6 +201,8 @@ def _status(summary: Summary, tell: Callable[[str], None]) -> int:
 
 def _program(options: argparse.Namespace) -> Program:
     words = tuple(options.rest or ())
+    if options.rig is None:
+        raise RigError("motorhil swarm", "no rig file", "name RIG and PROGRAM, or --show DIR")
     if options.pytest is not None:
         if options.program is not None:
             raise RigError(options.rig, "both PROGRAM and --pytest", "give one of them")
@@ -208,7 +222,8 @@ def _begun(options: argparse.Namespace, program: Program) -> tuple[Plan, Results
     plan = plan_of(options.rig, program, tuple(options.only), options.timeout)
     if not options.resume:
         folder = options.output
-        plan = with_profile(plan)
+        with redirect_stdout(StringIO()):  # of the program; results are ours
+            plan = with_profile(plan)
         return plan, create(folder, plan)
     earlier, results = open_results(options.output)
     for key in ("build", "contents", "oracles", "program"):
@@ -245,52 +260,90 @@ def _ending(engine: Executor) -> Iterator[None]:
 
 @final
 class _Watch:
-    """Progress of a campaign, on the terminal and on its page."""
+    """Progress of a campaign, on the terminal, in its file of times and on its page."""
 
-    def __init__(self, plan: Plan, results: Results, seeds: int) -> None:
+    def __init__(
+        self, plan: Plan, results: Results, options: argparse.Namespace, part: tuple[int, int]
+    ) -> None:
         self._plan = plan
         self._results = results
-        self._seeds = seeds
+        number, count = part
+        seeds = range(options.first, options.first + options.seeds)
+        self._asked = sum(lane_of(seed) % count == number - 1 for seed in seeds)
         self._line = StatusLine()
         self._begun = self._page = time.monotonic()
         self._ran = 0
+        self._is_over = False
+        self._failures = Counter(
+            cause_of(row) for row in results.rows.values() if row.is_bad and row.seed != CANARY
+        )
+        self._times = Times(results.folder, part, options.first, options.seeds, time.time())
+        self._kept = kept_in(results.folder)
+        self.draw(self._kept)
 
     def take(self, rows: list[Row]) -> None:
         """Take the rows of a chunk."""
+        self._times.take(rows, time.time())
         self._ran += len(rows)
+        self._failures.update(cause_of(row) for row in rows if row.is_bad and row.seed != CANARY)
         now = time.monotonic()
         rate = self._ran / max(1e-3, now - self._begun)
-        bad = sum(row.is_bad and row.seed >= 0 for row in self._results.rows.values())
-        count = len(self._results.rows)
-        self._line.show(f"{count} of {self._seeds} worlds, {rate:.1f}/s, {bad} failures")
-        if now - self._page >= _PAGE_S:
-            self._page = now
-            write_page(
-                self._results.folder, self._plan, summary_of(self._results.rows.values()), []
-            )
+        done = len(self._results.rows) - (CANARY in self._results.rows)
+        failures = ""
+        if self._failures:
+            causes = counted(len(self._failures), "cause")
+            failures = f"{counted(self._failures.total(), 'failure')} of {causes}"
+        self._line.show(progress_line(failures, done, self._asked, rate))
+        if now >= self._page:
+            self.draw(self._kept)
+
+    def say(self, text: str) -> None:
+        """Show another line."""
+        self._line.show(text)
+
+    def draw(self, kept: list[Kept]) -> None:
+        """Write the page; the next one only after much more time than this one took."""
+        begun = time.monotonic()
+        _page(self._plan, self._results, kept, is_running=True)
+        self._page = time.monotonic() + max(_PAGE_S, _PAGE_SHARE * (time.monotonic() - begun))
 
     def end(self) -> None:
-        """Clear the line."""
+        """Clear the line, and note the end, once."""
         self._line.clear()
+        if not self._is_over:
+            self._times.end(time.time())
+        self._is_over = True
 
 
-def _kept(plan: Plan, results: Results, engine: Executor, shrinks: bool) -> list[Kept]:
-    """Shrink a failure of each cause, and write it to files."""
+def _kept(
+    plan: Plan, results: Results, engine: Executor, watch: _Watch, shrinks: bool
+) -> list[Kept]:
+    """Shrink a failure of each cause, record it, and write it to files, unless they are there."""
     found: list[Kept] = []
-    line = StatusLine()
+    earlier = {one.cause: one for one in kept_in(results.folder)}
     causes = summary_of(results.rows.values()).causes
     for number, cause in enumerate(causes, 1):
-        line.show(f"shrinking {number} of {len(causes)}: {cause.name}")
-        row = cause.first
+        watch.say(f"shrinking {number} of {len(causes)}: {cause.name}")
+        row, known = cause.first, earlier.get(cause.name)
+        is_small = known is not None and (not shrinks or known.row.world != row.world)
+        if known is not None and is_small and known.row.seed == row.seed:
+            found.append(known)
+            continue
         if shrinks and row.world:
             row = shrunk(row, partial(_again, plan, engine, row.seed))
+        record = record_of(row, results.folder)
+        _again(plan, engine, row.seed, row.world, record.resolve())
         found.append(keep(row, plan, results.folder))
-    line.clear()
+        watch.draw(found)
     return found
 
 
-def _again(plan: Plan, engine: Executor, seed: int, world: World) -> Row:
+def _again(
+    plan: Plan, engine: Executor, seed: int, world: World, record: Path | None = None
+) -> Row:
     request: dict[str, object] = {"try": seed, "world": [one.as_table() for one in world]}
+    if record is not None:
+        request["record"] = str(record)
     (line,) = engine.submit(run_chunk, plan.as_table(), request).result()
     return row_from(line)
 
@@ -300,66 +353,49 @@ def _run_one(options: argparse.Namespace, program: Program) -> int:
     from motorhil.harness.swarm.trial import tried_in
 
     plan = plan_of(options.rig, program, tuple(options.only), options.timeout)
-    row = tried_in(plan, options.seed or 0, options.world)
+    with redirect_stdout(sys.stderr) if options.json else nullcontext():  # what programs print
+        row = tried_in(plan, options.seed or 0, options.world)
+    if row.result is Result.CANCELLED:
+        print(row.text, file=sys.stderr)
+        return WRONG_USAGE
     if options.json:
         print(row.as_line())
     else:
-        print(story(row) if row.is_bad else f"passes; {row.end_ns / 1e9:g} s simulated")
+        what = failed(row) if row.is_bad else f"passes; {row.end_ns / 1e9:g} s simulated"
+        print(f"{options.world}: {what}")
     return FAILED if row.is_bad else PASSED
 
 
 # --- what it says --------------------------------------------------------------------------------
 
 
-def _print(summary: Summary, kept: list[Kept], plan: Plan, options: argparse.Namespace) -> None:
+def _show(options: argparse.Namespace) -> int:
+    """Write the page of a folder, and print its findings, without running anything."""
+    if options.rig is not None:
+        raise RigError(options.rig, "--show runs nothing", "leave out RIG and PROGRAM")
+    plan, results = open_results(options.show, repairs=False)
+    summary = _tell(plan, results, kept_in(options.show), options)
+    return _status(summary, teller("swarm"))
+
+
+def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Namespace) -> Summary:
+    """Write the page, and print the findings; return them."""
+    page, summary, progress = _page(plan, results, kept)
+    found = summary, kept, plan, coverage_of(plan, summary), progress
     if options.json:
-        print(json.dumps(_as_table(summary, kept, plan), indent=1))
-        return
-    counts = ", ".join(f"{count} {result.value}" for result, count in summary.counts.items())
-    print(f"{summary.worlds} worlds: {counts or 'none'}; {summary.pairs} pairs of state and event")
-    for number, cause in enumerate(summary.causes[:_SHOWN], 1):
-        print(f"{number}. {cause.name}: {len(cause.rows)} worlds, first seed {cause.first.seed}")
-        one = next((one for one in kept if _is_of(one, cause.name)), None)
-        if one is not None:
-            print(f"   {story(one.row)}")
-            print(f"   again: {command(one.row, plan, one.fragment)}")
-    for name, count in summary.reached.items():
-        print(f"sometimes {name!r}: {'never' if not count else f'in {count} worlds'}")
-    if summary.ended_by:
-        ends = ", ".join(f"{name} {count}" for name, count in summary.ended_by.items())
-        print(f"ended by errors that are allowed: {ends}")
-    print(f"page: {options.output / 'index.html'}")
+        print(json.dumps({**as_table(*found), "page": str(page)}, indent=1))
+        return summary
+    for line in lines_of(*found):
+        print(line)
+    print(f"page: {page}")
+    return summary
 
 
-def _is_of(kept: Kept, cause: str) -> bool:
-    return cause_of(kept.row) == cause
-
-
-def _as_table(summary: Summary, kept: list[Kept], plan: Plan) -> dict[str, object]:
-    return {
-        "worlds": summary.worlds,
-        "results": {one.value: summary.counts.get(one, 0) for one in Result},
-        "pairs": summary.pairs,
-        "canary": summary.canary,
-        "sometimes": summary.reached,
-        "ended_by": summary.ended_by,
-        "causes": [
-            {
-                "cause": cause.name,
-                "worlds": len(cause.rows),
-                "first_seed": min(row.seed for row in cause.rows),
-                "text": cause.first.text,
-                "signatures": dict(cause.signatures),
-            }
-            for cause in summary.causes
-        ],
-        "kept": [
-            {
-                "seed": one.row.seed,
-                "signature": one.row.signature,
-                "fragment": str(one.fragment),
-                "again": command(one.row, plan, one.fragment),
-            }
-            for one in kept
-        ],
-    }
+def _page(
+    plan: Plan, results: Results, kept: list[Kept], *, is_running: bool = False
+) -> tuple[Path, Summary, Progress]:
+    """Write the page; return its file, and the findings in it."""
+    folder = results.folder
+    summary, progress = summary_of(results.rows.values()), progress_in(folder)
+    page = write_page(folder, plan, summary, kept, progress, time.time(), is_running=is_running)
+    return page, summary, progress

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.plan import WALL_S, Program, plan_of
+from motorhil.harness.swarm.row import Result
 from motorhil.harness.swarm.trial import tried_in
 
 
@@ -26,4 +28,6 @@ def assert_holds(
     """
     plan = plan_of(rig, Program(kind, program, tuple(words)), (), WALL_S)
     row = tried_in(plan, seed, world)
+    if row.result is Result.CANCELLED:
+        raise RigError(world, row.text)
     assert not row.is_bad, f"{row.oracle} at {row.at_ns / 1e9:.6f} s: {row.text}"

@@ -75,8 +75,12 @@ def create(folder: Path, plan: Plan) -> Results:
     return Results(folder, {})
 
 
-def open_results(folder: Path) -> tuple[Plan, Results]:
+def open_results(folder: Path, *, repairs: bool = True) -> tuple[Plan, Results]:
     """Return the plan and the results of a folder.
+
+    Args:
+        folder: the folder of the campaign.
+        repairs: whether a last line that was cut is removed; not while another process writes.
 
     Raises:
         RigError: it has none, or results that contradict each other.
@@ -90,7 +94,7 @@ def open_results(folder: Path) -> tuple[Plan, Results]:
         raise RigError(path, f"is no plan of a campaign: {error}", "use another folder") from None
     rows: dict[int, Row] = {}
     for file in sorted(folder.glob(ROWS)):
-        for row in _rows_in(file):
+        for row in _rows_in(file, repairs):
             other = rows.setdefault(row.seed, row)
             if other != row:
                 what = f"seed {row.seed} has two results: {other.result.value}, {row.result.value}"
@@ -98,9 +102,9 @@ def open_results(folder: Path) -> tuple[Plan, Results]:
     return plan, Results(folder, rows)
 
 
-def _rows_in(file: Path) -> Iterator[Row]:
+def _rows_in(file: Path, repairs: bool) -> Iterator[Row]:
     *lines, rest = file.read_bytes().split(b"\n")
-    if rest:  # a last line that was cut: remove it, so that the next one is whole
+    if rest and repairs:  # a last line that was cut: remove it, so that the next one is whole
         with file.open("r+b") as writable:
             writable.truncate(file.stat().st_size - len(rest))
     for number, line in enumerate(lines, 1):

@@ -41,6 +41,7 @@ class Row:
         ended_by: name of an allowed error that ended the program, or "".
         new: (state, event) pairs that no earlier world of its lane has met.
         met: conditions of `sometimes` that were true, and those that never were, with 0.
+        acts: kinds of its disturbances, and how often each struck.
         world: its disturbances, if it failed or met something new; else ().
     """
 
@@ -56,6 +57,7 @@ class Row:
     ended_by: str = ""
     new: tuple[str, ...] = ()
     met: tuple[tuple[str, int], ...] = ()
+    acts: tuple[tuple[str, int], ...] = ()
     world: World = ()
 
     @property
@@ -71,8 +73,9 @@ class Row:
             if value or key == "seed":
                 table[key] = value
         table["result"] = self.result.value
-        if self.met:
-            table["met"] = dict(self.met)
+        for key, counts in (("met", self.met), ("acts", self.acts)):
+            if counts:
+                table[key] = dict(counts)
         if self.world:
             table["world"] = [one.as_table() for one in self.world]
         return json.dumps(table, separators=(",", ":"), ensure_ascii=False)
@@ -91,8 +94,9 @@ def row_from(line: str | bytes) -> Row:
         table: dict[str, Any] = json.loads(line)
         table["result"] = Result(table["result"])
         table["new"] = tuple(table.get("new", ()))
-        met: Mapping[str, int] = table.get("met", {})
-        table["met"] = tuple(met.items())
+        for key in ("met", "acts"):
+            counts: Mapping[str, int] = table.get(key, {})
+            table[key] = tuple(counts.items())
         table["world"] = tuple(from_table(one) for one in table.get("world", ()))
         return Row(**table)
     except (ValueError, TypeError, KeyError, AttributeError, AssertionError) as error:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.worlds.shrinking import cause_of
@@ -30,6 +30,27 @@ class Cause:
         """The best representative."""
         return self.rows[0]
 
+    @property
+    def lowest(self) -> int:
+        """The lowest seed."""
+        return min(row.seed for row in self.rows)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Strikes:
+    """Disturbances of one kind over a campaign.
+
+    Attributes:
+        worlds: number of worlds that have one.
+        struck: number of worlds in which one struck.
+        times: how often they struck in all worlds together.
+    """
+
+    worlds: int = 0
+    struck: int = 0
+    times: int = 0
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -43,6 +64,8 @@ class Summary:
         growth: (worlds, pairs) after each world that met a new pair, by seed.
         reached: conditions of `sometimes`, and in how many worlds they were true.
         ended_by: allowed errors that ended programs, and how often.
+        strikes: disturbances by kind, the most frequent first.
+        states: states of controllers in which something happened, as the pairs name them.
         canary: who found the canary; "" if nobody did; None if it has not run.
     """
 
@@ -52,6 +75,8 @@ class Summary:
     growth: tuple[tuple[int, int], ...]
     reached: dict[str, int]
     ended_by: dict[str, int]
+    strikes: dict[str, Strikes]
+    states: tuple[str, ...]
     canary: str | None
 
     @property
@@ -60,21 +85,31 @@ class Summary:
         return self.counts.get(Result.FAILED, 0) + self.counts.get(Result.TIMEOUT, 0)
 
     @property
+    def found_canary(self) -> bool:
+        """True if the campaign has found its planted defect, or has not looked for it yet."""
+        return self.canary is None or "always" in self.canary
+
+    @property
     def worlds(self) -> int:
         """Number of worlds that ran."""
         return sum(self.counts.values())
 
 
+_NO_STRIKES: Final = Strikes()
+
+
 def summary_of(rows: Iterable[Row]) -> Summary:
     """Return the summary of a campaign's rows, in any order."""
     canary: str | None = None
+    strikes: dict[str, Strikes] = {}
+    states: dict[str, None] = {}
     counts: Counter[Result] = Counter()
     ended_by: Counter[str] = Counter()
     reached: Counter[str] = Counter()
     by_cause: dict[str, list[Row]] = {}
     pairs: set[str] = set()
     growth: list[tuple[int, int]] = []
-    for number, row in enumerate(sorted(rows, key=lambda one: one.seed)):
+    for row in sorted(rows, key=lambda one: one.seed):
         if row.seed == CANARY:
             canary = row.text if row.is_bad else ""
             continue
@@ -83,10 +118,15 @@ def summary_of(rows: Iterable[Row]) -> Summary:
             ended_by[row.ended_by] += 1
         for name, count in row.met:
             reached[name] += bool(count)
-        before = len(pairs)
-        pairs.update(row.new)
-        if len(pairs) > before:
-            growth.append((number + 1, len(pairs)))
+        for kind, count in row.acts:
+            old = strikes.get(kind, _NO_STRIKES)
+            strikes[kind] = Strikes(old.worlds + 1, old.struck + bool(count), old.times + count)
+        new = [pair for pair in row.new if pair not in pairs]
+        for pair in new:
+            states.update(dict.fromkeys(pair.partition(" after ")[0].split("/")))
+        if new:
+            pairs.update(new)
+            growth.append((counts.total(), len(pairs)))
         if row.is_bad:
             by_cause.setdefault(cause_of(row), []).append(row)
     causes = [_cause(name, found) for name, found in by_cause.items()]
@@ -97,7 +137,9 @@ def summary_of(rows: Iterable[Row]) -> Summary:
         len(pairs),
         tuple(growth),
         dict(sorted(reached.items())),
-        dict(ended_by),
+        dict(ended_by.most_common()),
+        dict(sorted(strikes.items(), key=lambda one: (-one[1].worlds, one[0]))),
+        tuple(sorted(states)),
         canary,
     )
 

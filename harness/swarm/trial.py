@@ -24,7 +24,7 @@ from motorhil.harness.swarm.plan import FUNCTION, Plan
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.worlds.disturbance import World, fragment
 from motorhil.harness.swarm.worlds.fairness import fair
-from motorhil.harness.swarm.worlds.observer import Observer
+from motorhil.harness.swarm.worlds.observer import Observer, acts_of
 from motorhil.harness.swarm.worlds.profile import Profile, Profiler
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.records import Attachment
@@ -135,6 +135,7 @@ class _Trial:
             ended_by=self._ended_by,
             new=tuple(observer.pairs),
             met=tuple(properties.met().items()),
+            acts=acts_of(self._world, [observer]),
             world=self._world,
         )
         if is_late:

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.conformance.clause import Diagnosis, Result
+from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Finding
 from motorhil.harness.conformance.job import Loaded
 from motorhil.harness.conformance.verdicts.causes import (
@@ -45,6 +45,7 @@ from motorhil.harness.conformance.verdicts.causes import (
     more_of,
     told_in_full,
 )
+from motorhil.harness.conformance.verdicts.picture import STYLE, picture_of
 from motorhil.harness.rig.config.conformance import Capability
 
 _NS: Final = 1e9
@@ -57,13 +58,6 @@ _JUNIT: Final = {
     Result.LEFT_BEHIND: "error",
     Result.NOT_APPLICABLE: "skipped",
 }
-_WIDTH, _HEIGHT, _LEFT = 900, 200, 70
-_LINES: Final = {
-    "demand": ("6 3", "#2f6fb0"),
-    "told": ("2 2", "#b3261e"),
-    "truth": ("", "#287a2c"),
-}
-"""Dashes and colour of each line of the picture of a failure."""
 _STYLE: Final = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em }
 table { border-collapse: collapse; width: 100% }
@@ -224,7 +218,7 @@ def as_page(outcome: Outcome, folder: Path) -> str:
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{_text(title)}</title>
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'">
-<style>{_STYLE}</style></head><body>
+<style>{_STYLE}{STYLE}</style></head><body>
 <h1>{_text(title)}</h1>
 <p>On {_text(loaded.bench)} ({_text(loaded.rig)}), motors {_text(", ".join(loaded.motors))},
 seed {loaded.seed}: {_text(counts)}.</p>
@@ -242,48 +236,12 @@ def _group(group: Group) -> str:
     first = group.first
     lines = "".join(f"<br><code>{_text(line)}</code>" for line in told_in_full(first))
     others = f"<p>Also: {_text(', '.join(group.others))}</p>" if group.others else ""
-    picture = "" if first.verdict.diagnosis is None else picture_of(first.verdict.diagnosis)
+    diagnosis = first.verdict.diagnosis
+    picture = "" if diagnosis is None else picture_of(diagnosis.curves)
     return (
         f"<section><h2>{_text(group.cause)}</h2><p>{_text(first.promise.id)} "
         f'<span class="bad">{first.verdict.result.value}</span>{lines}</p>{picture}{others}'
         "</section>\n"
-    )
-
-
-def picture_of(diagnosis: Diagnosis) -> str:
-    """Return an SVG of position demand, told and true over time; "" without values."""
-    points = [point for curve in diagnosis.curves.values() for point in curve]
-    if not points:
-        return ""
-    (begin_s, end_s), (low, high) = ((min(axis), max(axis)) for axis in zip(*points, strict=True))
-    if end_s == begin_s:
-        return ""
-    margin = 0.05 * (high - low) or 0.5
-    low, high = low - margin, high + margin
-
-    def place(time_s: float, position: float) -> str:
-        x = _LEFT + (time_s - begin_s) / (end_s - begin_s) * (_WIDTH - _LEFT)
-        return f"{x:.1f},{(high - position) / (high - low) * _HEIGHT:.1f}"
-
-    parts = []
-    for number, (name, curve) in enumerate(diagnosis.curves.items()):
-        line = " ".join(place(*point) for point in curve)
-        dash, colour = _LINES[name]
-        parts.append(
-            f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="1.5"'
-            f' stroke-dasharray="{dash}"/>'
-            f'<text x="{_LEFT + 90 * number}" y="{_HEIGHT + 30}" fill="{colour}">{name}</text>'
-        )
-    texts = (
-        (0, 10, f"{high:.4g}"),
-        (0, _HEIGHT, f"{low:.4g}"),
-        (_LEFT, _HEIGHT + 14, f"{begin_s:.3f} s"),
-        (_WIDTH - 60, _HEIGHT + 14, f"{end_s:.3f} s"),
-    )
-    parts += [f'<text x="{x}" y="{y}" fill="#777">{text}</text>' for x, y, text in texts]
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT + 36}" font-size="11" role="img"'
-        f' aria-label="position over time">{"".join(parts)}</svg>'
     )
 
 

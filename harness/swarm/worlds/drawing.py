@@ -280,3 +280,17 @@ def kinds_of(worlds: Sequence[World]) -> dict[str, int]:
         for one in world:
             counts[one.kind] = counts.get(one.kind, 0) + 1
     return counts
+
+
+_TRIES: Final = 20
+
+
+def possible(profile: Profile, table: SwarmTable) -> tuple[str, ...]:
+    """Return the kinds of disturbances that worlds of a rig can have."""
+    random = Random("possible")
+    return tuple(
+        kind
+        for kind in WEIGHTS
+        if table.weight(kind) > 0.0
+        and any(_DRAWS[kind](random, profile, table) is not None for _ in range(_TRIES))
+    )

@@ -6,12 +6,14 @@ a campaign.
 """
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
+    from motorhil.harness.swarm.worlds.disturbance import World
 
 _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[+-]?\d+)?\b")
 _FAULT: Final = re.compile(r"(?P<kind>[a-z]+) \d+: (?P<what>[^0-9]*?) ?(?P<id>[0-9A-F]+)?h?")
@@ -59,6 +61,23 @@ class Observer:
         earlier = [one for one in self.events if one.time_ns <= time_ns]
         return earlier[-1] if earlier else None
 
+    def acts(self, world: "World") -> Counter[str]:
+        """Return the kinds of a world's disturbances, and how often each has struck.
+
+        A rule of a bus or line counts what it has done. A change of an input has struck if its time
+        has come. All others hold from the beginning, and have struck once.
+        """
+        end_s = self._rig.runtime.now_ns() / 1e9
+        fired = self._rig.faults.fired()
+        counts: Counter[str] = Counter()
+        numbers: Counter[str] = Counter()
+        for one in world:
+            numbers[one.kind] += 1
+            at_s = one.get("at_s")
+            count = int(not isinstance(at_s, float) or at_s <= end_s)
+            counts[one.kind] += fired.get(f"{one.kind} {numbers[one.kind]}", count)
+        return counts
+
     def _take(self, time_ns: int, level: str, name: str, text: str) -> None:
         concerned = self._on_bus.get(name, [name])
         what = event_class(text)
@@ -72,6 +91,14 @@ class Observer:
         if name not in self._rig.description.controllers:
             return "-"
         return state_class(self._rig.world.snapshot(name))
+
+
+def acts_of(world: "World", observers: Iterable[Observer]) -> tuple[tuple[str, int], ...]:
+    """Return the kinds of a world's disturbances, and how often each has struck in all rigs."""
+    counts: Counter[str] = Counter({one.kind: 0 for one in world})
+    for one in observers:
+        counts.update(one.acts(world))
+    return tuple(counts.items())
 
 
 def state_class(truth: Mapping[str, float]) -> str:

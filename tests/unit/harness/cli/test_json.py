@@ -5,6 +5,7 @@ import json
 import pytest
 
 from motorhil.harness.cli.main import main, parsers
+from tests.support.swarm.campaigns import failure, written
 
 NO_RESULTS = {"demo", "run", "serve", "completion"}  # they print what programs print, or a script
 LINES = {"show"}  # one document a line, as a recording may have no end
@@ -38,6 +39,7 @@ WORDS = {
     "report": ["report", "a.log", "-o", "page.html"],
     "convert": ["convert", "a.log", "-o", "a.mcap", "--force"],
     "list": ["list", "controllers"],
+    "swarm": ["swarm", "--show", "campaign"],
 }
 VERBS = [name for name in parsers() if name not in NO_RESULTS]
 
@@ -50,6 +52,7 @@ def bench(tmp_path, monkeypatch):
     (tmp_path / "a.log").write_text(LOG)
     (tmp_path / "b.log").write_text(LOG.replace("0102", "0103"))
     assert main(["convert", "a.log", "-o", "a.mcap"]) == 0
+    written(tmp_path / "campaign", [failure()])
     return tmp_path
 
 

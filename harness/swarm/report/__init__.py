@@ -1,0 +1,1 @@
+"""Findings of a campaign for people: sentences, summary on the terminal, page with pictures."""

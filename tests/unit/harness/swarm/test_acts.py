@@ -1,0 +1,47 @@
+"""Strikes of disturbances, as the row of a world counts them."""
+
+from pathlib import Path
+
+import pytest
+
+from motorhil.harness.cli.main import main
+from motorhil.harness.swarm.plan import SCRIPT, Program, plan_of
+from motorhil.harness.swarm.trial import tried
+from motorhil.harness.swarm.worlds.disturbance import Disturbance
+
+BOOT_UP = (("sender", "left"), ("identifier", 0x701), ("skip", 0), ("limit", 5))
+SPAN = ("for_s", 0.01)
+
+
+def cut(at_s):
+    return Disturbance("cut", "can0", (("node", "right"), ("at_s", at_s), SPAN))
+
+
+def load(at_s):
+    return Disturbance("load", "left", (("value", 1.0), ("at_s", at_s), SPAN))
+
+
+CLOCK = Disturbance("clock", "left", (("ppm", 20.0),))
+DROP = Disturbance("drop", "can0", BOOT_UP)
+DEAF = Disturbance("drop", "can0", (*BOOT_UP[:2], ("skip", 9), ("limit", 1)))
+
+
+@pytest.mark.parametrize(
+    ("world", "acts"),
+    [
+        ((), {}),
+        ((DROP,), {"drop": 1}),
+        ((DEAF,), {"drop": 0}),
+        ((DEAF, DROP), {"drop": 1}),
+        ((cut(0.2), cut(0.5), cut(5.0)), {"cut": 2}),
+        ((load(5.0), CLOCK, load(0.5)), {"load": 1, "clock": 1}),
+    ],
+)
+def test_row_counts_strikes_until_the_end_of_its_run(tmp_path, monkeypatch, world, acts):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "wheels"]) == 0
+    Path("calm.py").write_text("import time\n\ntime.sleep(1.0)\n")
+    plan = plan_of(Path("wheels/rig.toml"), Program(SCRIPT, "calm.py"), (), 60.0)
+    row = tried(plan, 1, world)
+    assert dict(row.acts) == acts
+    assert row.end_ns == 1_000_000_000
