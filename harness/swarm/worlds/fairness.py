@@ -1,7 +1,9 @@
 """Fairness: which oracles may judge a world.
 
 A disturbance can break a promise by itself: a load that is stronger than the motor moves it at
-rest, and a lost frame is a request without an answer. Such an oracle does not judge such a world.
+rest, and a lost frame is a request without an answer. A program that starts again and again after
+the same fault sends its SYNCs in equal times, so they look cyclic until it gives up. Such an oracle
+does not judge such a world.
 """
 
 from collections.abc import Mapping
@@ -18,7 +20,8 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     "arrival-true": (*_PUSHED, "quirk"),
     **dict.fromkeys(("mode-signs", "errors-listed", "pds-legal"), ("quirk",)),
     **dict.fromkeys(("sdo-answered", "sdo-refusals", "drive-answered"), (*_LOST, "quirk")),
-    **dict.fromkeys(("heartbeat-kept", "no-reboot", "sync-period"), (*_LOST, "quirk", "clock")),
+    **dict.fromkeys(("heartbeat-kept", "no-reboot"), (*_LOST, "quirk", "clock")),
+    "sync-period": (*_LOST, *_PUSHED, "quirk", "clock"),
     **dict.fromkeys(("tpdo-times", "error-states", "fault-told"), (*_LOST, "quirk", "clock")),
     **dict.fromkeys(("commands-obeyed", "nmt-obeyed"), (*_LOST, "quirk")),
 }

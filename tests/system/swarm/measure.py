@@ -1,0 +1,122 @@
+"""Measures how many worlds find each planted defect, with guidance and without, in one run.
+
+    python -m tests.system.swarm.measure [NAME ...] --seeds 2000 --first 0 --correct
+
+A campaign stops at the first failure with a right cause. Failures with others are counted.
+"""
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+
+from motorhil.harness.rig.rig import describe
+from motorhil.harness.swarm.campaign import with_profile
+from motorhil.harness.swarm.lanes import Lane, lane_of
+from motorhil.harness.swarm.plan import FUNCTION, Program, plan_of
+from motorhil.harness.swarm.row import Row
+from motorhil.harness.swarm.worker import run_forked
+from motorhil.harness.swarm.worlds.disturbance import fragment
+from motorhil.harness.swarm.worlds.shrinking import cause_of, shrunk
+from tests.system.swarm.defects import CORRECT, DEFECTS
+
+for _module in ("carriage", "gate", "line", "joint", "adaptations"):
+    if (Path(__file__).parent / "defects" / f"{_module}.py").exists():
+        import_module(f"tests.system.swarm.defects.{_module}")
+WALL_S = 60.0
+
+
+@dataclass
+class Found:
+    """What a campaign has found.
+
+    worlds: how many ran, the last one included.
+    row: the first failure with a right cause, or None.
+    others: failures with other causes.
+    """
+
+    worlds: int = 0
+    row: Row | None = None
+    others: list[Row] = field(default_factory=list)
+
+
+def plan_for(one):
+    """Return the plan of a defect, with the profile of its undisturbed run, which must pass."""
+    return with_profile(plan_of(one.rig, Program(FUNCTION, one.target), (), WALL_S))
+
+
+def campaign(one, plan, seeds, *, guided, stops=True):
+    """Run the seeds as a campaign does, one after another; by default up to the first find."""
+    table = describe(one.rig).world.swarm
+    lanes: dict[int, Lane] = {}
+    found = Found()
+    for seed in seeds:
+        lane = lanes.setdefault(lane_of(seed), Lane())
+        world = lane.world(seed, plan.profile, table, guided)
+        row = run_forked(plan, seed, world)
+        new = tuple(pair for pair in row.new if pair not in lane.seen)
+        lane.learn(replace(row, new=new))
+        found.worlds += 1
+        if not row.is_bad:
+            continue
+        row = replace(row, world=world)
+        if cause_of(row).startswith(one.causes) and one.causes:
+            found.row = found.row or row
+            if stops:
+                break
+        else:
+            found.others.append(row)
+    return found
+
+
+def shown(row):
+    """Return a row in two lines."""
+    world = fragment(row.world).replace("\n\n", "\n")
+    return f"seed {row.seed}: {row.signature}\n    {row.text}\n{world}"
+
+
+def main():
+    """Measure, and print a line for each defect."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--seeds", type=int, default=2000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--repeat", type=int, default=1)
+    parser.add_argument("--correct", action="store_true")
+    parser.add_argument("--guided-only", action="store_true")
+    parser.add_argument("--shrink", action="store_true")
+    options = parser.parse_args()
+    known = CORRECT if options.correct else DEFECTS
+    for name in options.names or known:
+        one = known[name]
+        begun = time.process_time(), time.monotonic()
+        plan = plan_for(one)
+        table = {"name": name}
+        for guided in (True,) if options.guided_only or options.correct else (True, False):
+            key = "guided" if guided else "random"
+            for number in range(options.repeat):
+                first = options.first + number * 100_000
+                seeds = range(first, first + options.seeds)
+                found = campaign(one, plan, seeds, guided=guided, stops=not options.correct)
+                table.setdefault(key, []).append(found.worlds if found.row else None)
+                for row in found.others[: 20 if options.correct else 3]:
+                    print(f"OTHER {shown(row)}", file=sys.stderr, flush=True)
+                if guided and found.row and "cause" not in table:
+                    table["cause"] = found.row.signature
+                    if options.shrink:
+                        small = shrunk(
+                            found.row, lambda world, seed=found.row.seed: run_forked(plan, seed, world)
+                        )
+                        table["drawn"] = len(found.row.world)
+                        table["small"] = len(small.world)
+                        table["world"] = [one.as_table() for one in small.world]
+                table[f"{key}_others"] = table.get(f"{key}_others", 0) + len(found.others)
+        table["wall_s"] = round(time.monotonic() - begun[1], 1)
+        print(json.dumps(table), flush=True)
+
+
+if __name__ == "__main__":
+    main()
