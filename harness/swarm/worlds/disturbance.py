@@ -131,10 +131,10 @@ def _input(one: Disturbance, name: str) -> _Tables:
     ]
 
 
-def _fault(one: Disturbance, name: str) -> _Tables:
+def _fault(one: Disturbance, _: str) -> _Tables:
     code, at_s = one.number("code"), one.number("at_s")
-    keys = [("controller", one.on), ("name", "fault"), ("value", code), ("at_s", at_s)]
-    return [("stimulus", keys)]
+    name = one.get("input") or "fault"
+    return [("stimulus", [("controller", one.on), ("name", name), ("value", code), ("at_s", at_s)])]
 
 
 def _change(one: Disturbance, key: str, value: object) -> _Tables:

@@ -1,6 +1,7 @@
 """Profile of an undisturbed run: what a world can disturb, and when."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -20,7 +21,11 @@ _STIMULI: Final[Mapping[str, float]] = {
     "supply_v": 24.0,
     "power": 1.0,
     "fault": 0x5000,
+    "alarm": 0x20,
 }
+_MARKS_MAX: Final = 24
+_RARE: Final = 2
+"""A frame is marked if its bytes come that often at most."""
 _VARIED: Final = (
     *("resistance_ohm", "torque_constant_n_m_a", "rotor_inertia_kg_m2", "coulomb_friction_n_m"),
     *("viscous_friction_n_m_s_rad", "load_inertia_kg_m2"),
@@ -37,12 +42,14 @@ class Traffic:
         sender: the sender's name, as faults name it.
         identifier: the CAN identifier; None on a line.
         frames: number of frames in the undisturbed run.
+        marks: number and time [s] of those whose bytes are rare: commands rather than polls.
     """
 
     bus: str
     sender: str
     identifier: int | None
     frames: int
+    marks: tuple[tuple[int, float], ...] = ()
 
 
 @final
@@ -100,7 +107,10 @@ def profile_from(table: Mapping[str, Any]) -> Profile:
     return Profile(
         table["end_ns"],
         tuple(table["lines"]),
-        tuple(Traffic(**one) for one in table["traffic"]),
+        tuple(
+            Traffic(**{**one, "marks": tuple((number, at_s) for number, at_s in one["marks"])})
+            for one in table["traffic"]
+        ),
         tuple(
             Subject(
                 **{
@@ -122,7 +132,7 @@ class Profiler:
 
     def __init__(self, rig: "Rig") -> None:
         self._rig = rig
-        self._counts: dict[tuple[str, str, int | None], int] = {}
+        self._heard: dict[_Stream, list[tuple[int, bytes]]] = {}
         rig.world.tap_frames(self._frame)
         rig.world.tap_lines(self._adu)
 
@@ -133,20 +143,41 @@ class Profiler:
         return Profile(
             self._rig.runtime.now_ns(),
             lines,
-            tuple(Traffic(*key, count) for key, count in self._counts.items()),
+            tuple(Traffic(*key, len(heard), _marks(heard)) for key, heard in self._heard.items()),
             tuple(_subject(description, one) for one in description.controllers.values()),
             self._rig.runtime.had_parties(),
         )
 
     def _frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
         key = (bus, sender, int.from_bytes(frame[:4], "little") & 0x1FFF_FFFF)
-        self._counts[key] = self._counts.get(key, 0) + 1
+        self._heard.setdefault(key, []).append((time_ns, frame))
 
     def _adu(
-        self, line: str, now_ns: int, begin_ns: int, end_ns: int, sender: str, *_: object
+        self,
+        line: str,
+        now_ns: int,
+        begin_ns: int,
+        end_ns: int,
+        sender: str,
+        adu: bytes,
+        *_: object,
     ) -> None:
-        key = (line, sender, None)
-        self._counts[key] = self._counts.get(key, 0) + 1
+        self._heard.setdefault((line, sender, None), []).append((begin_ns, adu))
+
+
+_Stream = tuple[str, str, int | None]
+
+
+def _marks(heard: Sequence[tuple[int, bytes]]) -> tuple[tuple[int, float], ...]:
+    """Return number and time of the frames whose bytes are rare, thinned if there are many."""
+    counts = Counter(data for _, data in heard)
+    marks = [
+        (number, round(time_ns / 1e9, 4))
+        for number, (time_ns, data) in enumerate(heard)
+        if counts[data] <= _RARE
+    ]
+    step = -(-len(marks) // _MARKS_MAX) or 1
+    return tuple(marks[step - 1 :: step])
 
 
 def _subject(description: "RigDescription", one: "ControllerDescription") -> Subject:

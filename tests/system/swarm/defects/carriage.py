@@ -22,7 +22,7 @@ ALONE_S = 0.85  # a wheel may drive that long without the other, until both are 
 LEG_S = 4.0  # time that a leg may take, whatever happens
 
 
-class GivenUp(Exception):
+class GivenUp(Exception):  # noqa: N818 -- it says what happened, as the errors of motorapi
     """The mission cannot go on; the carriage stands."""
 
 

@@ -1,4 +1,4 @@
-"""Two slides on a serial line make steps in turn; a step is made once, or is known to have failed."""
+"""Two slides on a serial line make steps in turn; a step is made once, or has failed."""
 
 from contextlib import suppress
 
