@@ -107,11 +107,10 @@ def _around(profile: Profile, one: Disturbance, random: Random) -> Profile:
     if at_s is not None:
         near = [replace(stream, marks=_near(stream, at_s)) for stream in traffic]
         traffic = tuple(stream for stream in near if stream.marks) or traffic
-        traffic = tuple(replace(stream, marks=(*stream.marks, (-1, at_s))) for stream in traffic)
     subjects = tuple(subject for subject in profile.subjects if subject.name == _concerned(one))
     if not subjects or random.random() < 0.5:
         subjects = profile.subjects
-    return replace(profile, traffic=traffic, subjects=subjects)
+    return replace(profile, traffic=traffic, subjects=subjects, soon_after_s=at_s)
 
 
 def _near(stream: Traffic, at_s: float) -> tuple[tuple[int, float], ...]:
@@ -176,12 +175,19 @@ def _log_uniform(random: Random, low: float, high: float) -> float:
 
 def _moment(random: Random, profile: Profile) -> float:
     """Return a time within the undisturbed run, or soon after a mark [s]."""
+    if profile.soon_after_s is not None:
+        after_s = random.choice((random.uniform(0.0, _SOON_S), _soon(random)))
+        return float(f"{profile.soon_after_s + after_s:.4f}")
     marked = [one for one in profile.traffic if one.marks]
     if marked and random.random() < _MARKED:
         _, at_s = random.choice(random.choice(marked).marks)
-        after_s = _log_uniform(random, _SOON_S / 100, _SOON_S)
+        after_s = _soon(random)
         return float(f"{max(0.0, at_s + after_s * random.choice((1, 1, 1, -1))):.4f}")
     return float(f"{random.uniform(0.0, profile.end_ns / 1e9):.4f}")
+
+
+def _soon(random: Random) -> float:
+    return _log_uniform(random, _SOON_S / 100, _SOON_S)
 
 
 def _stream_of(random: Random, profile: Profile, lines: bool) -> Traffic | None:
@@ -194,9 +200,8 @@ def _hits(random: Random, one: Traffic) -> tuple[tuple[str, Value], ...]:
     own: tuple[tuple[str, Value], ...] = (("sender", one.sender),)
     if one.identifier is not None:
         own += (("identifier", one.identifier),)
-    marks = [number for number, _ in one.marks if number >= 0]
-    if marks and random.random() < _MARKED:
-        skip = random.choice(marks)
+    if one.marks and random.random() < _MARKED:
+        skip, _ = random.choice(one.marks)
     else:
         skip = min(int(_log_uniform(random, 1.0, one.frames + 1.0)) - 1, one.frames - 1)
     return (*own, ("skip", skip), ("limit", random.choice(_LIMITS)))

@@ -89,6 +89,7 @@ class Profile:
         traffic: who sends what, in order of the first time.
         subjects: controllers, in the order of the rig.
         parties: True if several parties take turns.
+        soon_after_s: draw times soon after this one [s]; None: anywhere.
     """
 
     end_ns: int
@@ -96,6 +97,7 @@ class Profile:
     traffic: tuple[Traffic, ...]
     subjects: tuple[Subject, ...]
     parties: bool
+    soon_after_s: float | None = None
 
     def as_table(self) -> dict[str, object]:
         """Return it for JSON."""

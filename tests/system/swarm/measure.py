@@ -25,7 +25,7 @@ from motorhil.harness.swarm.worlds.disturbance import fragment
 from motorhil.harness.swarm.worlds.shrinking import cause_of, shrunk
 from tests.system.swarm.defects import CORRECT, DEFECTS
 
-for _module in ("carriage", "gate", "line", "joint", "adaptations"):
+for _module in ("carriage", "gate", "line", "joint", "adaptations", "kinds"):
     if (Path(__file__).parent / "defects" / f"{_module}.py").exists():
         import_module(f"tests.system.swarm.defects.{_module}")
 WALL_S = 60.0
