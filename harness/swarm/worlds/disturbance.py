@@ -3,6 +3,7 @@
 A world is a tuple of disturbances. `fragment` writes it as TOML that is appended to a rig's file.
 """
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
@@ -75,6 +76,21 @@ def fragment(world: World) -> str:
         for header, keys in _WRITERS[one.kind](one, f"{one.kind} {counts[one.kind]}"):
             lines += [f"[[{header}]]", *(f"{key} = {_toml(value)}" for key, value in keys), ""]
     return "\n".join(lines)
+
+
+def kinds_in(text: str) -> frozenset[str]:
+    """Return the kinds of disturbances in a fragment; an input names each kind that changes it."""
+    table = tomllib.loads(text)
+    kinds = {str(one.get("kind")) for one in table.get("fault", ())}
+    for one in table.get("stimulus", ()):
+        name = one.get("name")
+        kinds.update(kind for kind, (own, _) in INPUTS.items() if own == name)
+        if name in ("fault", "alarm"):
+            kinds.add("fault")
+    for one in table.get("world", {}).get("change", ()):
+        key = str(one.get("key")).partition(".")[0]
+        kinds.add({"quirks": "quirk", "oscillator": "clock"}.get(key, key))
+    return frozenset(kinds)
 
 
 _Tables = list[tuple[str, list[tuple[str, object]]]]

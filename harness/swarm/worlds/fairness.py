@@ -6,11 +6,12 @@ the same fault sends its SYNCs in equal times, so they look cyclic until it give
 does not judge such a world.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Final
 
 from motorhil.harness.oracles.judge import IDS
-from motorhil.harness.swarm.worlds.disturbance import FRAME_KINDS, World
+from motorhil.harness.swarm.worlds.disturbance import FRAME_KINDS, World, kinds_in
 
 _LOST: Final = (*FRAME_KINDS, "cut", "noise", "power")
 _PUSHED: Final = ("load", "stall", "power", "supply", "fault", "heat")
@@ -31,5 +32,14 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
 
 def fair(world: World) -> tuple[str, ...]:
     """Return the ids of the oracles that may judge a world."""
-    kinds = {one.kind for one in world}
+    return _fair({one.kind for one in world})
+
+
+def fair_in(file: Path) -> tuple[str, ...]:
+    """Return the ids of the oracles that may judge the world of a fragment."""
+    return _fair(kinds_in(file.read_text()))
+
+
+def _fair(kinds: Collection[str]) -> tuple[str, ...]:
+    kinds = frozenset(kinds)
     return tuple(one for one in IDS if not kinds.intersection(EXCUSES.get(one, ())))

@@ -38,16 +38,23 @@ class Found:
     worlds: how many ran, the last one included.
     row: the first failure with a right cause, or None.
     others: failures with other causes.
+    rows: all rows, with what is new in each lane.
     """
 
     worlds: int = 0
     row: Row | None = None
     others: list[Row] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
 
 
 def plan_for(one):
     """Return the plan of a defect, with the profile of its undisturbed run, which must pass."""
-    return with_profile(plan_of(one.rig, Program(FUNCTION, one.target), (), WALL_S))
+    return with_profile(plan_without_profile(one))
+
+
+def plan_without_profile(one):
+    """Return the plan of a defect, enough to run given worlds."""
+    return plan_of(one.rig, Program(FUNCTION, one.target), (), WALL_S)
 
 
 def campaign(one, plan, seeds, *, guided, stops=True):
@@ -60,7 +67,8 @@ def campaign(one, plan, seeds, *, guided, stops=True):
         world = lane.world(seed, plan.profile, table, guided)
         row = run_forked(plan, seed, world)
         new = tuple(pair for pair in row.new if pair not in lane.seen)
-        lane.learn(replace(row, new=new))
+        found.rows.append(replace(row, new=new))
+        lane.learn(found.rows[-1])
         found.worlds += 1
         if not row.is_bad:
             continue

@@ -1,4 +1,4 @@
-"""Twenty defects that no undisturbed run shows, each in an application that is correct otherwise.
+"""Defects that no undisturbed run shows, each in an application that is correct otherwise.
 
 An application is a class with one method for each decision. A defect overrides one of them, or
 patches an adaptation around the run. A swarm calls each as a function with the open rig.
@@ -21,6 +21,7 @@ class Defect:
     rig: the rig file.
     mistake: a sentence that describes it.
     causes: what a failure's cause may begin with: oracle and rule.
+    base: name of the correct application; of a correct one, its own.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Defect:
     rig: Path
     mistake: str
     causes: tuple[str, ...]
+    base: str = ""
 
 
 DEFECTS: dict[str, Defect] = {}
@@ -60,7 +62,8 @@ def defect(rig, *causes, patches: Callable[[], AbstractContextManager] = nullcon
 
 def _described(application, name, rig, causes):
     mistake = " ".join(application.__doc__.split())
-    return Defect(name, f"{application.__module__}:{name}", HERE / rig, mistake, causes)
+    base = application.__mro__[-2].__name__.lower()
+    return Defect(name, f"{application.__module__}:{name}", HERE / rig, mistake, causes, base)
 
 
 def _function(application, patches):

@@ -3,6 +3,9 @@
 from pathlib import Path
 
 from motorhil.harness import conformance
+from motorhil.harness.cli.demo import POINT_M
+from motorhil.harness.examples.rover import Rover, manoeuvre
+from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.swarm.properties import always
 from motorhil.motorapi import ControlMode, Motor, StateError, TrapezoidalTrajectory
 from motorhil.motorapi.state import MotorState
@@ -51,5 +54,12 @@ def move(rig):
     both.for_each(Motor.disable)
 
 
+def rover(rig):
+    """Make the manoeuvre of the demo."""
+    groups = [rig.groups[name] for name in ("wheels", "steering", "mast")]
+    manoeuvre(Rover(*groups), rig.runtime, POINT_M, lambda text: None)
+
+
+CORRECT["rover"] = Defect("rover", f"{__name__}:rover", EXAMPLES / "rover.toml", "", ())
 for _kind in KINDS:
     CORRECT[_kind] = Defect(_kind, f"{__name__}:two_motors", RIGS / f"{_kind}.toml", "", ())
