@@ -238,8 +238,9 @@ def _cut(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | N
 def _span(
     random: Random, profile: Profile, table: SwarmTable
 ) -> tuple[tuple[str, Value], tuple[str, Value]]:
-    low = min(0.001, table.lasting_s)
-    return ("at_s", _moment(random, profile)), ("for_s", _log_uniform(random, low, table.lasting_s))
+    low, most = min(0.001, table.lasting_s), table.lasting_s
+    lasting_s = random.choice((_log_uniform(random, low, most), _rounded(random.uniform(low, most))))
+    return ("at_s", _moment(random, profile)), ("for_s", lasting_s)
 
 
 def _noise(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | None:

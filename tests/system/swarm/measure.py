@@ -29,6 +29,7 @@ for _module in ("carriage", "gate", "line", "joint", "adaptations", "kinds"):
     if (Path(__file__).parent / "defects" / f"{_module}.py").exists():
         import_module(f"tests.system.swarm.defects.{_module}")
 WALL_S = 60.0
+SHOWN = 10
 
 
 @dataclass
@@ -79,6 +80,8 @@ def campaign(one, plan, seeds, *, guided, stops=True):
                 break
         else:
             found.others.append(row)
+            if len(found.others) <= SHOWN:
+                print(f"OTHER {shown(row)}", file=sys.stderr, flush=True)
     return found
 
 
@@ -116,8 +119,6 @@ def main():
                 seeds = range(first, first + options.seeds)
                 found = campaign(one, plan, seeds, guided=guided, stops=not options.correct)
                 table.setdefault(key, []).append(found.worlds if found.row else None)
-                for row in found.others[: 20 if options.correct else 3]:
-                    print(f"OTHER {shown(row)}", file=sys.stderr, flush=True)
                 if guided and found.row and "cause" not in table:
                     table["cause"] = found.row.signature
                     if options.shrink:

@@ -10,7 +10,7 @@ from tests.system.swarm.defects.truth import Truth
 RIG = "carriage.toml"
 PIECES = 3
 STEP_RAD = 0.6
-PAUSE_S = 0.5
+PAUSE_S = 0.4
 LEASE_S = 1.0
 PATIENCE_S = 12.0
 
@@ -94,8 +94,8 @@ class Gate:
             for number in range(1, PIECES + 1):
                 if not self.piece_comes(number):
                     return
+                always(self.pieces >= number, "the gate opens behind a piece")
                 with self.locked("gate", self.gate):
-                    always(self.pieces >= number, "the gate opens behind a piece")
                     self.move(self.gate, 0.2)
                     self.move(self.gate, 0.0)
         except MotorError:
@@ -111,10 +111,9 @@ class Gate:
     @contextmanager
     def locked(self, who, motor):
         """Hold the lock while a motor moves; after a failure until it surely stands."""
-        always(self.lock.take(who, PATIENCE_S), "the passage comes free")
         renewal = self.renewing(who)
         try:
-            self.ready(motor)
+            self.enter(who, motor)
             yield
         except MotorError:
             with suppress(MotorError):
@@ -126,6 +125,11 @@ class Gate:
             renewal.cancel()
             self.lock.release(who)
 
+    def enter(self, who, motor):
+        """Lock the passage, and make the motor ready."""
+        always(self.lock.take(who, PATIENCE_S), "the passage comes free")
+        self.ready(motor)
+
     def renewing(self, who):
         """Renew the lock until this is cancelled."""
         return self.runtime.every(0.1, lambda: self.lock.renew(who))
@@ -135,7 +139,7 @@ class Gate:
         if motor.fault() is not None:
             sometimes(True, "a fault is reset")
             motor.reset_fault()
-            self.runtime.run_for(0.2)  # the contactor
+            self.runtime.run_for(0.4)  # the contactor
         motor.enable()
 
     def move(self, motor, target):
@@ -155,13 +159,11 @@ gate = correct(RIG)(Gate)
 class ChecksThenActs(Gate):
     """A party looks whether the passage is free, prepares its motor, and only then locks it."""
 
-    @contextmanager
-    def locked(self, who, motor):
+    def enter(self, who, motor):
         always(self.runtime.wait_until(self.lock.is_free, PATIENCE_S), "the passage comes free")
         self.ready(motor)
         self.lock.holder = who
-        with super().locked(who, motor):
-            yield
+        self.lock.renew(who)
 
 
 @defect(RIG, "always | the gate opens behind a piece")
@@ -169,7 +171,7 @@ class OpensByTheClock(Gate):
     """The gate opens a time after the start, in which a piece arrives."""
 
     def piece_comes(self, number):
-        due_ns = round((0.5 + number * 1.1) * 1e9)
+        due_ns = round((0.2 + number * 1.05) * 1e9)
         self.runtime.wait_until(
             lambda: self.runtime.now_ns() >= due_ns, max(0.0, due_ns - self.runtime.now_ns()) / 1e9
         )
@@ -190,9 +192,8 @@ class KeepsTheLock(Gate):
 
     @contextmanager
     def locked(self, who, motor):
-        always(self.lock.take(who, PATIENCE_S), "the passage comes free")
         renewal = self.renewing(who)
-        self.ready(motor)
+        self.enter(who, motor)
         yield
         renewal.cancel()
         self.lock.release(who)
