@@ -239,7 +239,9 @@ def _span(
     random: Random, profile: Profile, table: SwarmTable
 ) -> tuple[tuple[str, Value], tuple[str, Value]]:
     low, most = min(0.001, table.lasting_s), table.lasting_s
-    lasting_s = random.choice((_log_uniform(random, low, most), _rounded(random.uniform(low, most))))
+    lasting_s = random.choice(
+        (_log_uniform(random, low, most), _rounded(random.uniform(low, most)))
+    )
     return ("at_s", _moment(random, profile)), ("for_s", lasting_s)
 
 

@@ -1,5 +1,6 @@
 """Profile of an undisturbed run: what a world can disturb, and when."""
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +24,7 @@ _STIMULI: Final[Mapping[str, float]] = {
     "fault": 0x5000,
     "alarm": 0x20,
 }
-_MARKS_MAX: Final = 24
+_MARKS_MAX: Final = 48
 _RARE: Final = 2
 """A frame is marked if its bytes come that often at most."""
 _VARIED: Final = (
@@ -42,7 +43,7 @@ class Traffic:
         sender: the sender's name, as faults name it.
         identifier: the CAN identifier; None on a line.
         frames: number of frames in the undisturbed run.
-        marks: number and time [s] of those whose bytes are rare: commands rather than polls.
+        marks: number and time [s] of commands, whose bytes are rare, or of the answers to them.
     """
 
     bus: str
@@ -145,10 +146,27 @@ class Profiler:
         return Profile(
             self._rig.runtime.now_ns(),
             lines,
-            tuple(Traffic(*key, len(heard), _marks(heard)) for key, heard in self._heard.items()),
+            tuple(self._traffic(*key) for key in self._heard),
             tuple(_subject(description, one) for one in description.controllers.values()),
             self._rig.runtime.had_parties(),
         )
+
+    def _traffic(self, bus: str, sender: str, identifier: int | None) -> Traffic:
+        heard = self._heard[bus, sender, identifier]
+        if sender in self._rig.description.controllers:
+            rare = _after(heard, [one for key in self._commands(bus) for one in _rare(key)])
+        else:
+            rare = _rare(heard)
+        return Traffic(bus, sender, identifier, len(heard), _thinned(rare))
+
+    def _commands(self, bus: str) -> list[list[tuple[int, bytes]]]:
+        """Return the streams of a bus that no controller sends."""
+        controllers = self._rig.description.controllers
+        return [
+            heard
+            for key, heard in self._heard.items()
+            if key[0] == bus and key[1] not in controllers
+        ]
 
     def _frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
         key = (bus, sender, int.from_bytes(frame[:4], "little") & 0x1FFF_FFFF)
@@ -170,14 +188,26 @@ class Profiler:
 _Stream = tuple[str, str, int | None]
 
 
-def _marks(heard: Sequence[tuple[int, bytes]]) -> tuple[tuple[int, float], ...]:
-    """Return number and time of the frames whose bytes are rare, thinned if there are many."""
+def _rare(heard: Sequence[tuple[int, bytes]]) -> list[tuple[int, float]]:
+    """Return number and time of the frames whose bytes are rare."""
     counts = Counter(data for _, data in heard)
-    marks = [
+    return [
         (number, round(time_ns / 1e9, 4))
         for number, (time_ns, data) in enumerate(heard)
         if counts[data] <= _RARE
     ]
+
+
+def _after(
+    heard: Sequence[tuple[int, bytes]], commands: Sequence[tuple[int, float]]
+) -> list[tuple[int, float]]:
+    """Return number and time of the first frame after each command."""
+    times = [round(time_ns / 1e9, 4) for time_ns, _ in heard]
+    numbers = sorted({bisect_left(times, at_s) for _, at_s in commands})
+    return [(number, times[number]) for number in numbers if number < len(times)]
+
+
+def _thinned(marks: Sequence[tuple[int, float]]) -> tuple[tuple[int, float], ...]:
     step = -(-len(marks) // _MARKS_MAX) or 1
     return tuple(marks[step - 1 :: step])
 

@@ -71,6 +71,9 @@ class Gate:
         ]
         for party in parties:
             party.join()
+        for party in parties:
+            if party.error is not None:
+                raise party.error
         always(self.truth.together_s < 0.05, "conveyor and gate never move together")
 
     # --- the parties -----------------------------------------------------------------------------
@@ -171,7 +174,7 @@ class OpensByTheClock(Gate):
     """The gate opens a time after the start, in which a piece arrives."""
 
     def piece_comes(self, number):
-        due_ns = round((0.2 + number * 1.05) * 1e9)
+        due_ns = round((0.4 + number * 1.1) * 1e9)
         self.runtime.wait_until(
             lambda: self.runtime.now_ns() >= due_ns, max(0.0, due_ns - self.runtime.now_ns()) / 1e9
         )

@@ -106,14 +106,3 @@ class TakesTheHereForHome(Joint):
     def require_reference(self, joint):
         if not joint.is_referenced():
             joint.home(35)
-
-
-@defect(RIG, "always | the joints rest after their poses")
-class StopsUntilTheFirstError(Joint):
-    """The joints are stopped one after another, until one of them cannot be."""
-
-    def rest(self):
-        with suppress(MotorError):
-            for joint in self.joints:
-                joint.stop()
-                joint.wait_until_done(timeout_s=1.0)

@@ -7,7 +7,7 @@ _AT_REST = 2.0  # increments in 20 ms
 
 
 class Truth:
-    """What really happens, whatever the motors report."""
+    """The true state of the motors, whatever they report."""
 
     def __init__(self, rig):
         self.rig = rig
