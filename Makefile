@@ -53,12 +53,13 @@ wheel: compiled  ## in dist: the sources, a wheel of pure Python, one with compi
 quick: $(READY)  ## style and tests that the changes since main can break, nearest first; QUICK="--seconds N --list"
 	@$(BIN)/python -m tests.architecture.quick $(QUICK)
 
-nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants, and a sample by rule
+nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples, stress, fuzz, all mutants, a sample by rule, a swarm
 	MOTORHIL_HYPOTHESIS=nightly $(BIN)/python -m pytest $(WORKERS) --timeout 7200 -m "hypothesis or nightly"
 	$(MAKE) --no-print-directory fuzz FUZZ="--seed $$(date +%s) --seconds 1800"
 	$(MAKE) --no-print-directory mutants
 	$(MAKE) --no-print-directory rule-mutants
 	-$(MAKE) --no-print-directory rule-mutants RULES="--seed $$(date +%s)"
+	$(BIN)/python -m tests.system.swarm --first $$(date +%s)
 
 # Import contracts and documents have tests, so that these need not be checked before.
 test: $(READY)  ## everything that must hold, on one machine, in minutes; repetition is for nightly

@@ -50,5 +50,11 @@ class Lane:
         """Return the world of a seed, the next one of this lane."""
         random = Random(f"world {seed}")
         if guided and self.corpus and (seed // LANES) % 2:
-            return mutated(random.choice(self.corpus), random, profile, table)
+            return mutated(self._parent(random), random, profile, table)
         return drawn(random, profile, table)
+
+    def _parent(self, random: Random) -> World:
+        """Return a world to mutate: rather a late one, which met what is rare, and a small one."""
+        count = len(self.corpus)
+        picks = [self.corpus[int(count * random.random() ** 0.5)] for _ in range(2)]
+        return min(picks, key=len)

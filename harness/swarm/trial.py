@@ -23,7 +23,7 @@ from motorhil.harness.swarm import properties
 from motorhil.harness.swarm.plan import FUNCTION, Plan
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.worlds.disturbance import World, fragment
-from motorhil.harness.swarm.worlds.fairness import fair
+from motorhil.harness.swarm.worlds.fairness import fair, fair_in
 from motorhil.harness.swarm.worlds.observer import Observer, acts_of
 from motorhil.harness.swarm.worlds.profile import Profile, Profiler
 from motorhil.traces.digest import digest
@@ -215,7 +215,8 @@ class _Trial:
     # --- judgement -------------------------------------------------------------------------------
 
     def _judge(self, description: "RigDescription", record: Path) -> None:
-        only = self._plan.oracles or description.world.swarm.oracles or fair(self._world)
+        asked = self._plan.oracles or description.world.swarm.oracles
+        only = asked or (fair(self._world) if self._file is None else fair_in(self._file))
         facts = Facts()
         if self._seed == CANARY:
             facts, only = _at_rest(description), (*only, VelocityLimit.id)

@@ -28,8 +28,9 @@ def check_target(
     variable: ControlVariable,
     target: float,
     limits: DerivativeLimits | None,
+    what: str = "target",
 ) -> None:
-    """Raise LimitError if the control variable must not have this value."""
+    """Raise LimitError if the control variable must not have this value; `what` names it."""
     low, high = value_range(model, variable)
     own = None if limits is None else limits.value
     for floor, ceiling, whose in (
@@ -41,7 +42,7 @@ def check_target(
         if below or above:
             raise LimitError(
                 motor=motor,
-                quantity=f"target {variable.value}",
+                quantity=f"{what} {variable.value}",
                 value=target,
                 low=floor,
                 high=ceiling,

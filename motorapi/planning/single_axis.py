@@ -211,8 +211,8 @@ def plan_trajectory(
         else:
             functions.require_at_start(motor, model, variable, start, reference)
     if not (only_shape and trajectory.is_relative):
-        for value in (start, target):
-            check_target(motor, model, variable, value, trajectory.limits)
+        for value, what in ((start, "initial"), (target, "target")):
+            check_target(motor, model, variable, value, trajectory.limits, what)
     distance = target - start if trajectory.initial is not None else trajectory.final
     if velocity is not None and trajectory.initial_velocity:
         functions.require_velocity(motor, model, trajectory.initial_velocity, velocity)

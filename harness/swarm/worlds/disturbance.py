@@ -3,6 +3,7 @@
 A world is a tuple of disturbances. `fragment` writes it as TOML that is appended to a rig's file.
 """
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
@@ -77,6 +78,21 @@ def fragment(world: World) -> str:
     return "\n".join(lines)
 
 
+def kinds_in(text: str) -> frozenset[str]:
+    """Return the kinds of disturbances in a fragment; an input names each kind that changes it."""
+    table = tomllib.loads(text)
+    kinds = {str(one.get("kind")) for one in table.get("fault", ())}
+    for one in table.get("stimulus", ()):
+        name = one.get("name")
+        kinds.update(kind for kind, (own, _) in INPUTS.items() if own == name)
+        if name in ("fault", "alarm"):
+            kinds.add("fault")
+    for one in table.get("world", {}).get("change", ()):
+        key = str(one.get("key")).partition(".")[0]
+        kinds.add({"quirks": "quirk", "oscillator": "clock"}.get(key, key))
+    return frozenset(kinds)
+
+
 _Tables = list[tuple[str, list[tuple[str, object]]]]
 
 
@@ -131,10 +147,10 @@ def _input(one: Disturbance, name: str) -> _Tables:
     ]
 
 
-def _fault(one: Disturbance, name: str) -> _Tables:
+def _fault(one: Disturbance, _: str) -> _Tables:
     code, at_s = one.number("code"), one.number("at_s")
-    keys = [("controller", one.on), ("name", "fault"), ("value", code), ("at_s", at_s)]
-    return [("stimulus", keys)]
+    name = one.get("input") or "fault"
+    return [("stimulus", [("controller", one.on), ("name", name), ("value", code), ("at_s", at_s)])]
 
 
 def _change(one: Disturbance, key: str, value: object) -> _Tables:

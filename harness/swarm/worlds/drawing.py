@@ -1,6 +1,13 @@
-"""Drawing of worlds, and their mutation, from a stream of random numbers."""
+"""Drawing of worlds, and their mutation, from a stream of random numbers.
+
+Times are drawn where they matter: half of them anywhere in the run, half around a mark, which is a
+frame with rare bytes, such as a command. Frames to hit are drawn in the same way. A further
+disturbance often accompanies an earlier one: it concerns the same controller, soon after it, while
+the program recovers. A mutation does so even more often.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import exp, log
 from random import Random
 from typing import Final
@@ -10,11 +17,21 @@ from motorhil.harness.rig.config.worlds import WEIGHTS, SwarmTable
 from motorhil.harness.swarm.worlds.disturbance import Disturbance, Value, World
 from motorhil.harness.swarm.worlds.profile import Profile, Subject, Traffic
 
-_LIMITS: Final = (1, 1, 1, 2, 3, 5)
+_LIMITS: Final = (1, 1, 1, 2, 3, 5, 12, 40)
+"""Frames in a row that are hit: one, or a frame with all its repetitions."""
 _ERRORS: Final = tuple(one.value for one in FrameError)
 _CODES: Final = (0x2310, 0x3210, 0x3220, 0x4310, 0x5441, 0x7300, 0x8611)
 """EMCY error codes of CiA 402: current, voltage, temperature, contacts, sensor, following error."""
+_ALARMS: Final = (0x10, 0x20, 0x21, 0x22)
 _DIGITS: Final = 3
+_ACCOMPANIED: Final = 0.4
+_ACCOMPANIED_MUTANT: Final = 0.7
+_ADDS: Final = 4  # of 8
+_AGAIN: Final = 0.5
+"""How often a companion tends to be of the same kind: a second fault, a further loss."""
+_MARKED: Final = 0.5
+_SOON_S: Final = 0.5
+"""A program recovers from a disturbance in about this time."""
 _ONCE: Final = ("interleaving", "quirk", "clock")
 """Kinds of which one place has at most one."""
 _Draw = Callable[[Random, Profile, SwarmTable], Disturbance | None]
@@ -28,21 +45,22 @@ def drawn(random: Random, profile: Profile, table: SwarmTable) -> World:
     count = min(1 + int(random.expovariate(2.0 / most)), most)
     world: World = ()
     for _ in range(count):
-        world = _added(world, random, profile, table)
+        world = _added(world, random, profile, table, _ACCOMPANIED)
     return world
 
 
 def mutated(world: World, random: Random, profile: Profile, table: SwarmTable) -> World:
     """Return a world that differs from a given one in one or two disturbances."""
     for _ in range(random.choice((1, 1, 2))):
-        act = random.randrange(4)
+        act = random.randrange(8)
         if act == 0 and len(world) > 1:
             place = random.randrange(len(world))
             world = world[:place] + world[place + 1 :]
-        elif act == 1 or not world:
+        elif act <= _ADDS or not world:
             if len(world) >= max(1, table.disturbances):
-                world = world[1:]
-            world = _added(world, random, profile, table)
+                place = random.randrange(len(world))
+                world = world[:place] + world[place + 1 :]
+            world = _added(world, random, profile, table, _ACCOMPANIED_MUTANT)
         else:
             place = random.randrange(len(world))
             other = _moved(world[place], random)
@@ -50,17 +68,70 @@ def mutated(world: World, random: Random, profile: Profile, table: SwarmTable) -
     return world
 
 
-def _added(world: World, random: Random, profile: Profile, table: SwarmTable) -> World:
-    """Return the world with one more disturbance, or as it is if none could be drawn."""
+def _added(
+    world: World, random: Random, profile: Profile, table: SwarmTable, accompanied: float
+) -> World:
+    """Return the world with one more disturbance, or as it is if none could be drawn.
+
+    Args:
+        world: the disturbances so far.
+        random: where numbers come from.
+        profile: the undisturbed run.
+        table: the declarations of the rig.
+        accompanied: how often it accompanies an earlier one.
+    """
     kinds = [kind for kind in WEIGHTS if table.weight(kind) > 0.0]
     if not kinds:
         return world
+    weights = [table.weight(one) for one in kinds]
+    if world and random.random() < accompanied:
+        first = random.choice(world)
+        profile = _around(profile, first, random)
+        if random.random() < _AGAIN and first.kind in kinds:
+            weights[kinds.index(first.kind)] += sum(weights)
     for _ in range(20):
-        kind = random.choices(kinds, [table.weight(one) for one in kinds])[0]
+        kind = random.choices(kinds, weights)[0]
         one = _DRAWS[kind](random, profile, table)
         if one is not None and not _is_there(world, one):
             return (*world, one)
     return world
+
+
+def _around(profile: Profile, one: Disturbance, random: Random) -> Profile:
+    """Return the profile as if it were only what happens around a disturbance.
+
+    One half of the time, controllers are restricted to the one concerned.
+    """
+    at_s = _time_of(profile, one)
+    traffic = profile.traffic
+    if at_s is not None:
+        near = [replace(stream, marks=_near(stream, at_s)) for stream in traffic]
+        traffic = tuple(stream for stream in near if stream.marks) or traffic
+    subjects = tuple(subject for subject in profile.subjects if subject.name == _concerned(one))
+    if not subjects or random.random() < 0.5:
+        subjects = profile.subjects
+    return replace(profile, traffic=traffic, subjects=subjects, soon_after_s=at_s)
+
+
+def _near(stream: Traffic, at_s: float) -> tuple[tuple[int, float], ...]:
+    return tuple(mark for mark in stream.marks if 0.0 <= mark[1] - at_s <= _SOON_S)
+
+
+def _time_of(profile: Profile, one: Disturbance) -> float | None:
+    """Return when a disturbance strikes first, as far as it is known."""
+    if one.get("at_s") is not None:
+        return one.number("at_s")
+    skip = one.get("skip")
+    for stream in profile.traffic:
+        same = (stream.sender, stream.identifier) == (one.get("sender"), one.get("identifier"))
+        if same and stream.bus == one.on and isinstance(skip, int):
+            later = [at_s for number, at_s in stream.marks if number >= skip]
+            return later[0] if later else None
+    return None
+
+
+def _concerned(one: Disturbance) -> Value | None:
+    return one.get("node") or one.get("sender") or one.on
 
 
 def _is_there(world: World, one: Disturbance) -> bool:
@@ -103,8 +174,20 @@ def _log_uniform(random: Random, low: float, high: float) -> float:
 
 
 def _moment(random: Random, profile: Profile) -> float:
-    """Return a time within the undisturbed run [s]."""
+    """Return a time within the undisturbed run, or soon after a mark [s]."""
+    if profile.soon_after_s is not None:
+        after_s = random.choice((random.uniform(0.0, _SOON_S), _soon(random)))
+        return float(f"{profile.soon_after_s + after_s:.4f}")
+    marked = [one for one in profile.traffic if one.marks]
+    if marked and random.random() < _MARKED:
+        _, at_s = random.choice(random.choice(marked).marks)
+        after_s = _soon(random)
+        return float(f"{max(0.0, at_s + after_s * random.choice((1, 1, 1, -1))):.4f}")
     return float(f"{random.uniform(0.0, profile.end_ns / 1e9):.4f}")
+
+
+def _soon(random: Random) -> float:
+    return _log_uniform(random, _SOON_S / 100, _SOON_S)
 
 
 def _stream_of(random: Random, profile: Profile, lines: bool) -> Traffic | None:
@@ -117,7 +200,10 @@ def _hits(random: Random, one: Traffic) -> tuple[tuple[str, Value], ...]:
     own: tuple[tuple[str, Value], ...] = (("sender", one.sender),)
     if one.identifier is not None:
         own += (("identifier", one.identifier),)
-    skip = min(int(_log_uniform(random, 1.0, one.frames + 1.0)) - 1, one.frames - 1)
+    if one.marks and random.random() < _MARKED:
+        skip, _ = random.choice(one.marks)
+    else:
+        skip = min(int(_log_uniform(random, 1.0, one.frames + 1.0)) - 1, one.frames - 1)
     return (*own, ("skip", skip), ("limit", random.choice(_LIMITS)))
 
 
@@ -152,8 +238,11 @@ def _cut(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | N
 def _span(
     random: Random, profile: Profile, table: SwarmTable
 ) -> tuple[tuple[str, Value], tuple[str, Value]]:
-    low = min(0.001, table.lasting_s)
-    return ("at_s", _moment(random, profile)), ("for_s", _log_uniform(random, low, table.lasting_s))
+    low, most = min(0.001, table.lasting_s), table.lasting_s
+    lasting_s = random.choice(
+        (_log_uniform(random, low, most), _rounded(random.uniform(low, most)))
+    )
+    return ("at_s", _moment(random, profile)), ("for_s", lasting_s)
 
 
 def _noise(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | None:
@@ -209,8 +298,18 @@ def _power(random: Random, profile: Profile, table: SwarmTable) -> Disturbance |
 def _fault(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | None:
     one = _with(random, profile, "fault")
     if one is None:
-        return None
+        return _alarm(random, profile)
     values = (("code", random.choice(_CODES)), ("at_s", _moment(random, profile)))
+    return Disturbance("fault", one.name, values)
+
+
+def _alarm(random: Random, profile: Profile) -> Disturbance | None:
+    """Return the fault of a drive that calls it an alarm."""
+    one = _with(random, profile, "alarm")
+    if one is None:
+        return None
+    values: tuple[tuple[str, Value], ...] = (("code", random.choice(_ALARMS)),)
+    values += (("at_s", _moment(random, profile)), ("input", "alarm"))
     return Disturbance("fault", one.name, values)
 
 

@@ -1,15 +1,21 @@
 """Observer of one run: which events met which states.
 
 An event is a fault that strikes, a stimulus, or a report of a controller, without its numbers. A
-state is that of the controllers concerned, and the event before. Pairs of both are the coverage of
-a campaign.
+state is that of the controllers concerned, with the event before, or the place in the program that
+waits meanwhile. Pairs of both are the coverage of a campaign. Places are read from the stack when
+an event occurs, so frames cost nothing.
 """
 
+import inspect
 import re
+import sysconfig
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import FrameType
 from typing import TYPE_CHECKING, Final, final
+
+from motorhil.harness.rig.script import is_own_file
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
@@ -17,6 +23,8 @@ if TYPE_CHECKING:
 
 _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[+-]?\d+)?\b")
 _FAULT: Final = re.compile(r"(?P<kind>[a-z]+) \d+: (?P<what>[^0-9]*?) ?(?P<id>[0-9A-F]+)?h?")
+_PLACES: Final = 2
+_STDLIB: Final = (sysconfig.get_paths()["stdlib"], "<frozen")
 _AT_REST: Final = 1e-3  # [rad/s or m/s]
 _VELOCITIES: Final = ("velocity_rad_s", "velocity_m_s")
 _NOTHING: Final = "the start"
@@ -86,6 +94,7 @@ class Observer:
         state = "/".join(sorted(states))
         self.events.append(Event(time_ns, what, state))
         self.pairs[f"{state} after {last} | {what}"] = None
+        self.pairs[f"{state} at {place()} | {what}"] = None
 
     def _state(self, name: str) -> str:
         if name not in self._rig.description.controllers:
@@ -99,6 +108,18 @@ def acts_of(world: "World", observers: Iterable[Observer]) -> tuple[tuple[str, i
     for one in observers:
         counts.update(one.acts(world))
     return tuple(counts.items())
+
+
+def place() -> str:
+    """Return where the program is: its innermost lines, up to two, as function:line."""
+    lines: list[str] = []
+    frame: FrameType | None = inspect.currentframe()
+    while frame is not None and len(lines) < _PLACES:
+        code = frame.f_code
+        if not is_own_file(code.co_filename) and not code.co_filename.startswith(_STDLIB):
+            lines.append(f"{code.co_name}:{frame.f_lineno}")
+        frame = frame.f_back
+    return " < ".join(lines) or "-"
 
 
 def state_class(truth: Mapping[str, float]) -> str:

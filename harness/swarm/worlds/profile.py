@@ -1,6 +1,8 @@
 """Profile of an undisturbed run: what a world can disturb, and when."""
 
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -20,7 +22,11 @@ _STIMULI: Final[Mapping[str, float]] = {
     "supply_v": 24.0,
     "power": 1.0,
     "fault": 0x5000,
+    "alarm": 0x20,
 }
+_MARKS_MAX: Final = 48
+_RARE: Final = 2
+"""A frame is marked if its bytes come that often at most."""
 _VARIED: Final = (
     *("resistance_ohm", "torque_constant_n_m_a", "rotor_inertia_kg_m2", "coulomb_friction_n_m"),
     *("viscous_friction_n_m_s_rad", "load_inertia_kg_m2"),
@@ -37,12 +43,14 @@ class Traffic:
         sender: the sender's name, as faults name it.
         identifier: the CAN identifier; None on a line.
         frames: number of frames in the undisturbed run.
+        marks: number and time [s] of commands, whose bytes are rare, or of the answers to them.
     """
 
     bus: str
     sender: str
     identifier: int | None
     frames: int
+    marks: tuple[tuple[int, float], ...] = ()
 
 
 @final
@@ -82,6 +90,7 @@ class Profile:
         traffic: who sends what, in order of the first time.
         subjects: controllers, in the order of the rig.
         parties: True if several parties take turns.
+        soon_after_s: draw times soon after this one [s]; None: anywhere.
     """
 
     end_ns: int
@@ -89,6 +98,7 @@ class Profile:
     traffic: tuple[Traffic, ...]
     subjects: tuple[Subject, ...]
     parties: bool
+    soon_after_s: float | None = None
 
     def as_table(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -100,7 +110,10 @@ def profile_from(table: Mapping[str, Any]) -> Profile:
     return Profile(
         table["end_ns"],
         tuple(table["lines"]),
-        tuple(Traffic(**one) for one in table["traffic"]),
+        tuple(
+            Traffic(**{**one, "marks": tuple((number, at_s) for number, at_s in one["marks"])})
+            for one in table["traffic"]
+        ),
         tuple(
             Subject(
                 **{
@@ -122,7 +135,7 @@ class Profiler:
 
     def __init__(self, rig: "Rig") -> None:
         self._rig = rig
-        self._counts: dict[tuple[str, str, int | None], int] = {}
+        self._heard: dict[_Stream, list[tuple[int, bytes]]] = {}
         rig.world.tap_frames(self._frame)
         rig.world.tap_lines(self._adu)
 
@@ -133,20 +146,70 @@ class Profiler:
         return Profile(
             self._rig.runtime.now_ns(),
             lines,
-            tuple(Traffic(*key, count) for key, count in self._counts.items()),
+            tuple(self._traffic(*key) for key in self._heard),
             subjects_of(description),
             self._rig.runtime.had_parties(),
         )
 
+    def _traffic(self, bus: str, sender: str, identifier: int | None) -> Traffic:
+        heard = self._heard[bus, sender, identifier]
+        if sender in self._rig.description.controllers:
+            rare = _after(heard, [one for key in self._commands(bus) for one in _rare(key)])
+        else:
+            rare = _rare(heard)
+        return Traffic(bus, sender, identifier, len(heard), _thinned(rare))
+
+    def _commands(self, bus: str) -> list[list[tuple[int, bytes]]]:
+        """Return the streams of a bus that no controller sends."""
+        controllers = self._rig.description.controllers
+        return [
+            heard
+            for key, heard in self._heard.items()
+            if key[0] == bus and key[1] not in controllers
+        ]
+
     def _frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
         key = (bus, sender, int.from_bytes(frame[:4], "little") & 0x1FFF_FFFF)
-        self._counts[key] = self._counts.get(key, 0) + 1
+        self._heard.setdefault(key, []).append((time_ns, frame))
 
     def _adu(
-        self, line: str, now_ns: int, begin_ns: int, end_ns: int, sender: str, *_: object
+        self,
+        line: str,
+        now_ns: int,
+        begin_ns: int,
+        end_ns: int,
+        sender: str,
+        adu: bytes,
+        *_: object,
     ) -> None:
-        key = (line, sender, None)
-        self._counts[key] = self._counts.get(key, 0) + 1
+        self._heard.setdefault((line, sender, None), []).append((begin_ns, adu))
+
+
+_Stream = tuple[str, str, int | None]
+
+
+def _rare(heard: Sequence[tuple[int, bytes]]) -> list[tuple[int, float]]:
+    """Return number and time of the frames whose bytes are rare."""
+    counts = Counter(data for _, data in heard)
+    return [
+        (number, round(time_ns / 1e9, 4))
+        for number, (time_ns, data) in enumerate(heard)
+        if counts[data] <= _RARE
+    ]
+
+
+def _after(
+    heard: Sequence[tuple[int, bytes]], commands: Sequence[tuple[int, float]]
+) -> list[tuple[int, float]]:
+    """Return number and time of the first frame after each command."""
+    times = [round(time_ns / 1e9, 4) for time_ns, _ in heard]
+    numbers = sorted({bisect_left(times, at_s) for _, at_s in commands})
+    return [(number, times[number]) for number in numbers if number < len(times)]
+
+
+def _thinned(marks: Sequence[tuple[int, float]]) -> tuple[tuple[int, float], ...]:
+    step = -(-len(marks) // _MARKS_MAX) or 1
+    return tuple(marks[step - 1 :: step])
 
 
 def subjects_of(description: "RigDescription") -> tuple[Subject, ...]:

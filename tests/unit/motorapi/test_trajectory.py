@@ -215,6 +215,13 @@ def test_relative_function_begins_at_the_position():
         planned(ComplexTrajectory(function, relative=True), reference=2.5)
 
 
+def test_start_outside_the_limits_is_not_called_the_target():
+    with pytest.raises(LimitError, match=r"^wheel: initial position 4 rad, allowed is -3 to 3"):
+        planned(TrapezoidalTrajectory(1.0, initial=4.0), reference=4.0)
+    with pytest.raises(LimitError, match=r"^wheel: target position 4 rad, allowed is -3 to 3"):
+        planned(TrapezoidalTrajectory(4.0, initial=1.0), reference=1.0)
+
+
 def test_motion_over_an_argument_begins_at_its_present_value():
     class Leader:
         name, rate_max = "leader", 1.0

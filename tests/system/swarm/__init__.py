@@ -1,0 +1,1 @@
+"""Planted defects, and what a swarm makes of them."""
