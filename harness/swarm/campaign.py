@@ -7,7 +7,12 @@ from dataclasses import replace
 from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.swarm.engine import WorkerDied, WorkerRefused, run_chunk
+from motorhil.harness.swarm.engine import (
+    WorkerDied,
+    WorkerProcess,
+    WorkerRefused,
+    run_chunk,
+)
 from motorhil.harness.swarm.lanes import LANES, lane_of
 from motorhil.harness.swarm.plan import Plan
 from motorhil.harness.swarm.results import Results
@@ -150,9 +155,15 @@ def with_profile(plan: Plan) -> Plan:
     Raises:
         RigError: the program fails without any disturbance.
     """
-    from motorhil.harness.swarm.trial import profiled
-
-    row, profile = profiled(plan, 0)
+    worker: WorkerProcess | None = None
+    try:
+        worker = WorkerProcess(plan.as_table())
+        row, profile = worker.profile()
+    except (WorkerDied, WorkerRefused) as error:
+        raise RigError(plan.rig, f"the undisturbed run: {error}") from None
+    finally:
+        if worker is not None:
+            worker.close()
     if row.is_bad or profile is None:
         what = f"the program fails without any disturbance: {row.text or row.result.value}"
         raise RigError(plan.rig, what, "make it pass `motorhil run` first")

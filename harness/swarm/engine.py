@@ -6,16 +6,23 @@ time, never rows that were written.
 """
 
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.row import Row, row_from
+from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 
 _COMMAND: Final = (sys.executable, "-m", "motorhil.harness.swarm.worker")
+_DONE: Final = '{"done": true}\n'
+_FAILED: Final = '{"failed": '
+_PATIENCE_S: Final = 2.0
 
 
 class WorkerDied(Exception):  # noqa: N818 -- it says what happened, as the errors of motorapi
@@ -27,10 +34,15 @@ class WorkerRefused(Exception):  # noqa: N818 -- likewise
 
 
 @final
-class Worker:
-    """A worker process with one plan."""
+class WorkerProcess:
+    """A worker process with one plan.
+
+    Raises:
+        WorkerRefused: it has another version or other files.
+    """
 
     def __init__(self, plan: dict[str, Any]) -> None:
+        self._folder = tempfile.mkdtemp(prefix="motorhil-swarm-")
         self._process = subprocess.Popen(
             _COMMAND,
             stdin=subprocess.PIPE,
@@ -38,34 +50,59 @@ class Worker:
             text=True,
             start_new_session=True,  # Ctrl-C reaches the campaign, which ends it
         )
-        answer = self._ask({"plan": plan})
-        refused = json.loads(answer)["refused"]
-        if refused:
+        try:
+            answer = self._ask({"plan": plan, "folder": self._folder})
+            refused = json.loads(answer)["refused"]
+            if refused:
+                raise WorkerRefused(refused)
+        except BaseException:
             self.close()
-            raise WorkerRefused(refused)
+            raise
 
     @property
     def pid(self) -> int:
         """The process id."""
         return self._process.pid
 
-    def rows(self, request: dict[str, Any]) -> list[Row]:
-        """Return the rows of a request.
+    def lines(self, request: dict[str, Any]) -> list[str]:
+        """Return the rows of a request, as lines.
+
+        Raises:
+            WorkerDied: the worker ended before.
+            WorkerRefused: it cannot write records.
+        """
+        lines = []
+        answer = self._ask(request)
+        while answer != _DONE:
+            if answer.startswith(_FAILED):
+                raise WorkerRefused(json.loads(answer)["failed"])
+            lines.append(answer.rstrip("\n"))
+            answer = self._answer()
+        return lines
+
+    def profile(self) -> tuple[Row, Profile | None]:
+        """Run the undisturbed world; return its row, and what it looks like unless it failed.
 
         Raises:
             WorkerDied: the worker ended before.
         """
-        rows = []
-        answer = self._ask(request)
-        while answer != '{"done": true}\n':
-            rows.append(row_from(answer))
-            answer = self._answer()
-        return rows
+        table = json.loads(self._ask({"profile": True}))
+        seen = table["profile"]
+        return row_from(table["row"]), None if seen is None else profile_from(seen)
 
     def close(self) -> None:
-        """End the process, also in the middle of a world."""
-        self._process.kill()
-        self._process.wait()
+        """End the process and its children, also in the middle of a world."""
+        self._process.terminate()
+        try:
+            self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            with suppress(OSError):  # what it has not read any more
+                pipe.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _ask(self, request: dict[str, Any]) -> str:
         assert self._process.stdin is not None
@@ -85,7 +122,7 @@ class Worker:
 
 
 _OWN = threading.local()
-_ALL: Final[list[Worker]] = []
+_ALL: Final[list[WorkerProcess]] = []
 
 
 def run_chunk(plan: dict[str, Any], request: dict[str, Any]) -> list[str]:
@@ -93,19 +130,34 @@ def run_chunk(plan: dict[str, Any], request: dict[str, Any]) -> list[str]:
 
     Raises:
         WorkerDied: the worker ended before.
-        WorkerRefused: this machine has another version or other files.
+        WorkerRefused: this machine has another version or other files, or its disk is full.
     """
-    key = json.dumps(plan)
-    if getattr(_OWN, "key", None) != key:
-        worker = Worker(plan)
-        _OWN.worker, _OWN.key = worker, key
+    if getattr(_OWN, "plan", None) != plan:
+        _forget()
+        worker = WorkerProcess(plan)
+        _OWN.worker, _OWN.plan = worker, plan
         _ALL.append(worker)
     try:
-        return [row.as_line() for row in _OWN.worker.rows(request)]
+        lines: list[str] = _OWN.worker.lines(request)
     except WorkerDied:
-        _OWN.key = None
-        _OWN.worker.close()
+        _forget()
         raise
+    return lines
+
+
+def _forget() -> None:
+    """End the worker process of this thread."""
+    worker = getattr(_OWN, "worker", None)
+    _OWN.worker = _OWN.plan = None
+    if worker is not None:
+        worker.close()
+        if worker in _ALL:
+            _ALL.remove(worker)
+
+
+def worker_pids() -> list[int]:
+    """Return the process ids of all worker processes of this process."""
+    return [worker.pid for worker in _ALL]
 
 
 def end_workers() -> None:
