@@ -65,7 +65,7 @@ class WorkerProcess:
         return self._process.pid
 
     def lines(self, request: dict[str, Any]) -> list[str]:
-        """Return the rows of a request, as lines.
+        """Return the lines of the answer to a request, such as rows.
 
         Raises:
             WorkerDied: the worker ended before.
@@ -85,8 +85,10 @@ class WorkerProcess:
 
         Raises:
             WorkerDied: the worker ended before.
+            WorkerRefused: it cannot write records.
         """
-        table = json.loads(self._ask({"profile": True}))
+        (line,) = self.lines({"profile": True})
+        table = json.loads(line)
         seen = table["profile"]
         return row_from(table["row"]), None if seen is None else profile_from(seen)
 

@@ -62,11 +62,12 @@ class Results:
         new = {row.seed: row for row in rows if row.seed not in self.rows}
         path = self.folder / name
         try:
-            with path.open("ab") as file:
+            with path.open("ab", buffering=0) as file:
                 whole = file.tell()
+                left = b"".join(row.as_line().encode() + b"\n" for row in new.values())
                 try:
-                    file.write(b"".join(row.as_line().encode() + b"\n" for row in new.values()))
-                    file.flush()
+                    while left:
+                        left = left[file.write(left) :]
                 except OSError:
                     file.truncate(whole)
                     raise

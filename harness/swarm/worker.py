@@ -100,8 +100,7 @@ class Worker:
         try:
             if "profile" in request:
                 yield self._profile() + "\n"
-                return
-            if "try" in request:
+            elif "try" in request:
                 world = tuple(from_table(one) for one in request["world"])
                 record = request.get("record")
                 path = None if record is None else Path(record)
@@ -144,17 +143,18 @@ class Worker:
         return row
 
     def _profile(self) -> str:
-        """Run the undisturbed world; return its row and its profile."""
+        """Run the undisturbed world; return its row and its profile.
+
+        Raises:
+            NoRecord: the record could not be written.
+        """
 
         def call() -> str:
             row, profile = profiled(self._plan, 0, self._folder)
             seen = None if profile is None else profile.as_table()
             return json.dumps({"row": row.as_line(), "profile": seen})
 
-        try:
-            answer = self._called(0, (), call)
-        except NoRecord as error:
-            answer = Row(0, Result.CANCELLED, text=str(error))
+        answer = self._called(0, (), call)
         if isinstance(answer, Row):
             return json.dumps({"row": answer.as_line(), "profile": None})
         return answer
