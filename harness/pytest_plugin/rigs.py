@@ -7,13 +7,14 @@ import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Final, TypeVar, final
+from typing import Final, Protocol, TypeVar, final
 
 import pytest
 
 from motorhil.harness.pytest_plugin.options import (
     OPENED,
     OWN_NAMES,
+    WATCHER,
     option,
     record_folder,
     shortened,
@@ -81,6 +82,19 @@ def _failure(text: str, config: pytest.Config) -> BaseException:
     return pytest.fail.Exception(shortened(text, config), pytrace=False)
 
 
+class RigWatcher(Protocol):
+    """Watcher of the rigs of a session."""
+
+    def opened(self, rig: Rig) -> None:
+        """Take a rig that is open at time 0."""
+
+    def refused(self, error: RigError) -> None:
+        """Take the reason why a rig could not be opened."""
+
+    def closed(self, rig: Rig, record: Path) -> None:
+        """Take a rig that is closed, and its complete record, which is deleted afterwards."""
+
+
 @final
 class RecordOfTest(os.PathLike[str]):
     """The path of a test's record, which is being written.
@@ -142,13 +156,35 @@ class RigOfTest:
         self.record: RecordOfTest = RecordOfTest(self, part)
         with ExitStack() as stack:
             path, self._path_options = self._path(parameter)
-            realtime = bool(option(item.config, "realtime"))
             stack.callback(self.record.path.unlink, missing_ok=True)
-            self.rig: Rig = Rig.open(path, seed, realtime, self.record.path)
+            self.rig: Rig = self._open(path, seed)
             stack.pop_all()
             stack.enter_context(self.rig)
             stack.enter_context(bus_settings(self.rig.description.buses))
             self._stack = stack.pop_all()
+
+    def _open(self, path: Path, seed: int | None) -> Rig:
+        """Open the rig; in the world of --world if it is the rig of --rig, or none is given."""
+        realtime = bool(option(self._config, "realtime"))
+        watcher: RigWatcher | None = self._config.stash.get(WATCHER, None)
+        here = self._config.invocation_params.dir
+        given, world = option(self._config, "rig"), option(self._config, "world")
+        is_other = given is not None and (here / given).resolve() != path.resolve()
+        if is_other:
+            world = watcher = None
+        if world is not None:
+            self._path_options += [f"{self._config.stash[OWN_NAMES]['world']}={world}"]
+        place = None if world is None else here / world
+        try:
+            rig = Rig.open(path, seed, realtime, self.record.path, place)
+        except RigError as error:
+            if watcher is not None:
+                watcher.refused(error)
+            raise
+        if watcher is not None:
+            watcher.opened(rig)
+        self._watcher = watcher
+        return rig
 
     def _path(self, parameter: object) -> tuple[Path, list[str]]:
         """Return the rig's path, and the command-line words that select the same rig again."""
@@ -192,6 +228,9 @@ class RigOfTest:
             self._stack.close()
         except (RigError, TraceError) as error:
             raise _failure(str(error), self._config) from None
+        finally:
+            if self._watcher is not None:
+                self._watcher.closed(self.rig, self.record.path)
         if unanswered(self.rig):
             raise _failure("\n".join(summary(self.rig)), self._config)
 

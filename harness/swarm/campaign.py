@@ -14,9 +14,9 @@ from motorhil.harness.swarm.engine import (
     run_chunk,
 )
 from motorhil.harness.swarm.lanes import LANES, lane_of
-from motorhil.harness.swarm.plan import Plan
+from motorhil.harness.swarm.plan import PYTEST, Plan
 from motorhil.harness.swarm.results import Results
-from motorhil.harness.swarm.row import CANARY, Row, row_from
+from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 
 _CHUNK_S: Final = 2.0
 """Wall time that a chunk should take [s]."""
@@ -165,6 +165,9 @@ def with_profile(plan: Plan) -> Plan:
         if worker is not None:
             worker.close()
     if row.is_bad or profile is None:
+        first = "pytest" if plan.program.kind == PYTEST else "motorhil run"
         what = f"the program fails without any disturbance: {row.text or row.result.value}"
-        raise RigError(plan.rig, what, "make it pass `motorhil run` first")
+        if row.result is Result.CANCELLED:
+            what = f"the program cannot run: {row.text}"
+        raise RigError(plan.rig, what, f"make it pass `{first}` first")
     return replace(plan, profile=profile)

@@ -11,10 +11,10 @@ nothing behind in the next one.
 import gc
 import json
 import os
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, final
@@ -162,7 +162,7 @@ class Worker:
     def _called(self, seed: int, world: World, call: Callable[[], str]) -> str | Row:
         """Return the answer of a child, or the row of its end."""
         try:
-            ended = call_forked(lambda: _told(call, seed), self._plan.wall_s)
+            ended = call_forked(lambda: _told(call), self._plan.wall_s)
         finally:
             end_orphans()
             self._tidy()
@@ -175,24 +175,27 @@ class Worker:
         table: dict[str, str] = json.loads(ended.text)
         if "failed" in table:
             raise NoRecord(table["failed"])
+        if "error" in table:
+            return Row(seed, Result.CANCELLED, text=table["error"])
         return table["answer"]
 
     def _tidy(self) -> None:
         """Remove what a child has left in the folder."""
         for one in self._folder.iterdir():
-            with suppress(OSError):
-                one.unlink()
+            if one.is_dir():
+                shutil.rmtree(one, ignore_errors=True)
+            else:
+                one.unlink(missing_ok=True)
 
 
-def _told(call: Callable[[], str], seed: int) -> str:
+def _told(call: Callable[[], str]) -> str:
     """Return the answer of a call in a child, or why there is none."""
     try:
         return json.dumps({"answer": call()})
     except NoRecord as error:
         return json.dumps({"failed": str(error)})
     except BaseException as error:
-        row = Row(seed, Result.CANCELLED, text=f"{type(error).__name__}: {error}")
-        return json.dumps({"answer": row.as_line()})
+        return json.dumps({"error": f"{type(error).__name__}: {error}"})
 
 
 def _died(seed: int, world: World, status: int) -> Row:
