@@ -11,14 +11,17 @@ import subprocess
 import sys
 import tempfile
 import threading
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import suppress
-from typing import Any, Final, final
+from typing import Any, Final, ParamSpec, TypeVar, final
 
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.row import Row, row_from
 from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 
+P = ParamSpec("P")
+T = TypeVar("T")
 _COMMAND: Final = (sys.executable, "-m", "motorhil.harness.swarm.worker")
 _DONE: Final = '{"done": true}\n'
 _FAILED: Final = '{"failed": '
@@ -173,7 +176,36 @@ def local(workers: int) -> Executor:
     return ThreadPoolExecutor(workers, thread_name_prefix="swarm")
 
 
-def dask(address: str) -> Executor:
+@final
+class Cluster(Executor):
+    """The engine of a dask scheduler."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor(pure=False, retries=2)
+
+    @property
+    def is_gone(self) -> bool:
+        """True once the scheduler is lost; what runs there then never ends."""
+        return self._client.status in ("closing", "closed")
+
+    def submit(self, call: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> "Future[T]":
+        """Run a call on the cluster.
+
+        Raises:
+            RuntimeError: the scheduler is lost.
+        """
+        if self.is_gone:
+            raise RuntimeError("its scheduler is lost")
+        future: Future[T] = self._executor.submit(call, *args, **options)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the cluster; what still runs there is dropped."""
+        self._client.close(timeout=_PATIENCE_S)
+
+
+def dask(address: str) -> Cluster:
     """Return the engine of a dask scheduler at HOST:PORT.
 
     Raises:
@@ -189,5 +221,4 @@ def dask(address: str) -> Executor:
     except OSError as error:
         remedy = "start `dask scheduler`, and name its HOST:PORT"
         raise RigError(f"dask={address}", f"no scheduler answers: {error}", remedy) from None
-    executor: Executor = client.get_executor(pure=False, retries=2)
-    return executor
+    return Cluster(client)

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -212,8 +213,7 @@ def test_workers_parts_and_resumption_change_no_row(folder):
 
 
 def test_worker_of_another_build_refuses(folder):
-    one = plan("calm")
-    object.__setattr__(one, "build", "another build")
+    one = replace(plan("calm"), build="another build")
     with pytest.raises(RigError, match=r"a worker refuses: motorhil here is .*another build"):
         campaign(one, create(folder / "out", one), range(4))
     assert worker_pids() == []
