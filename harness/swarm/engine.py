@@ -133,21 +133,29 @@ _ALL: Final[list[WorkerProcess]] = []
 def run_chunk(plan: dict[str, Any], request: dict[str, Any]) -> list[str]:
     """Return the rows of a request as lines, from this thread's worker process.
 
+    One world is tried again by another process if the first one dies.
+
     Raises:
         WorkerDied: the worker ended before.
         WorkerRefused: this machine has another version or other files, or its disk is full.
     """
-    if getattr(_OWN, "plan", None) != plan:
-        _forget()
-        worker = WorkerProcess(plan)
-        _OWN.worker, _OWN.plan = worker, plan
-        _ALL.append(worker)
     try:
-        lines: list[str] = _OWN.worker.lines(request)
+        return _worker_of(plan).lines(request)
     except WorkerDied:
         _forget()
-        raise
-    return lines
+        if "try" not in request:
+            raise
+    return _worker_of(plan).lines(request)
+
+
+def _worker_of(plan: dict[str, Any]) -> WorkerProcess:
+    """Return this thread's worker process, a new one for a new plan."""
+    if getattr(_OWN, "plan", None) != plan:
+        _forget()
+        _OWN.worker, _OWN.plan = WorkerProcess(plan), plan
+        _ALL.append(_OWN.worker)
+    worker: WorkerProcess = _OWN.worker
+    return worker
 
 
 def _forget() -> None:
