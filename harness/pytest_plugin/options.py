@@ -18,10 +18,6 @@ OWN_NAMES: Final = pytest.StashKey[dict[str, str]]()
 """Stash key of the configuration: the name of each option."""
 
 
-WATCHER: Final[pytest.StashKey[Any]] = pytest.StashKey()
-"""Stash key of the configuration: a RigWatcher, if the session runs in a world of a swarm."""
-
-
 RECORDS: Final = "out"
 
 

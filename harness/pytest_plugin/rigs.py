@@ -7,14 +7,13 @@ import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Final, Protocol, TypeVar, final
+from typing import Final, TypeVar, final
 
 import pytest
 
 from motorhil.harness.pytest_plugin.options import (
     OPENED,
     OWN_NAMES,
-    WATCHER,
     option,
     record_folder,
     shortened,
@@ -24,6 +23,7 @@ from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName, Rig, describe
 from motorhil.harness.rig.script import is_on_purpose, is_own_file
+from motorhil.harness.swarm.pytest_run import WATCHER, Watcher
 from motorhil.traces.errors import TraceError
 
 T = TypeVar("T")
@@ -80,19 +80,6 @@ def opened_for_example(item: pytest.Item, seed: int | None) -> Iterator[Rig]:
 def _failure(text: str, config: pytest.Config) -> BaseException:
     """Return an exception that fails the test with this text and without a traceback."""
     return pytest.fail.Exception(shortened(text, config), pytrace=False)
-
-
-class RigWatcher(Protocol):
-    """Watcher of the rigs of a session."""
-
-    def opened(self, rig: Rig) -> None:
-        """Take a rig that is open at time 0."""
-
-    def refused(self, error: RigError) -> None:
-        """Take the reason why a rig could not be opened."""
-
-    def closed(self, rig: Rig, record: Path) -> None:
-        """Take a rig that is closed, and its complete record, which is deleted afterwards."""
 
 
 @final
@@ -166,7 +153,7 @@ class RigOfTest:
     def _open(self, path: Path, seed: int | None) -> Rig:
         """Open the rig; in the world of --world if it is the rig of --rig, or none is given."""
         realtime = bool(option(self._config, "realtime"))
-        watcher: RigWatcher | None = self._config.stash.get(WATCHER, None)
+        watcher: Watcher | None = self._config.pluginmanager.get_plugin(WATCHER)
         here = self._config.invocation_params.dir
         given, world = option(self._config, "rig"), option(self._config, "world")
         is_other = given is not None and (here / given).resolve() != path.resolve()

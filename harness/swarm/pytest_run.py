@@ -11,9 +11,11 @@ from typing import Final, Protocol, final
 
 import pytest
 
-from motorhil.harness.pytest_plugin.options import WATCHER
-from motorhil.harness.pytest_plugin.rigs import RigWatcher
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.rig import Rig
 
+WATCHER: Final = "motorhil-world"
+"""Name under which pytest finds the watcher, if its session runs in a world of a swarm."""
 _QUIET: Final = (
     *("-q", "--no-header", "--no-summary", "-p", "no:cacheprovider"),
     *("-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"),
@@ -21,8 +23,17 @@ _QUIET: Final = (
 _TEXT_MAX: Final = 200
 
 
-class Watcher(RigWatcher, Protocol):
+class Watcher(Protocol):
     """Watcher of a world's rigs and tests."""
+
+    def opened(self, rig: Rig) -> None:
+        """Take a rig that is open at time 0."""
+
+    def refused(self, error: RigError) -> None:
+        """Take the reason why a rig could not be opened."""
+
+    def closed(self, rig: Rig, record: Path) -> None:
+        """Take a rig that is closed, and its complete record, which is deleted afterwards."""
 
     def raised(self, error: BaseException) -> None:
         """Take an exception that failed a test, or a fixture."""
@@ -82,7 +93,7 @@ class _Told:
     @pytest.hookimpl(tryfirst=True)
     def pytest_configure(self, config: pytest.Config) -> None:
         """Watch the rigs of the session; all of it runs here, and by one seed."""
-        config.stash[WATCHER] = self._watcher
+        config.pluginmanager.register(self._watcher, WATCHER)
         if hasattr(config.option, "dist"):  # of pytest-xdist
             config.option.dist, config.option.tx = "no", []
         if hasattr(config.option, "hypothesis_seed"):
