@@ -22,7 +22,7 @@ from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 
 P = ParamSpec("P")
 T = TypeVar("T")
-_COMMAND: Final = (sys.executable, "-m", "motorhil.harness.swarm.worker")
+_COMMAND: Final = (sys.executable, "-P", "-m", "motorhil.harness.swarm.worker")
 _DONE: Final = '{"done": true}\n'
 _FAILED: Final = '{"failed": '
 _PATIENCE_S: Final = 2.0

@@ -147,7 +147,7 @@ def _described(plan: Plan, world: Path | None) -> RigDescription:
 @final
 @dataclass(slots=True)
 class _Run:
-    """What becomes of one rig."""
+    """One rig of a trial: its observers and its failures."""
 
     rig: Rig
     observer: Observer
