@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -143,7 +144,7 @@ def _run_bare(plan: Plan, seed: int, world: World) -> None:
         function = getattr(swarm_programs, plan.program.name.partition(":")[2])
         try:
             with Rig.open(plan.rig, seed, record=record, world=file) as rig:
-                rig.runtime.queue.alarm(lambda now_ns: rig.runtime.interrupt()).set(60_000_000_000)
+                rig.runtime.queue.alarm(partial(_interrupt, rig)).set(60_000_000_000)
                 function(rig)
         except KeyboardInterrupt:
             pass
@@ -152,6 +153,10 @@ def _run_bare(plan: Plan, seed: int, world: World) -> None:
                 raise
         judge(record, only=fair(world))
         digest(record)
+
+
+def _interrupt(rig: Rig, now_ns: int) -> None:
+    rig.runtime.interrupt()
 
 
 if __name__ == "__main__":
