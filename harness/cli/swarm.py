@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, redirect_stdout
+from dataclasses import replace
 from functools import partial
 from io import StringIO
 from pathlib import Path
@@ -20,6 +21,7 @@ from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine
 from motorhil.harness.oracles.judge import IDS
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
+from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
 from motorhil.harness.swarm.engine import dask, end_workers, local, run_chunk
 from motorhil.harness.swarm.kept import Kept, keep, kept_in, record_of
@@ -208,6 +210,9 @@ def _program(options: argparse.Namespace) -> Program:
             raise RigError(options.rig, "both PROGRAM and --pytest", "give one of them")
         return Program(PYTEST, options.pytest, words)
     if options.program is None:
+        if programs := describe(options.rig).programs:
+            what = f"its programs ({', '.join(programs)}) cannot share the time of a swarm's worlds"
+            raise RigError(options.rig, what, "name one program, or a function with their parts")
         raise RigError(options.rig, "no program to run", "name a script, or --pytest NODEID")
     name = options.program
     if Path(name).is_file():
@@ -230,7 +235,7 @@ def _begun(options: argparse.Namespace, program: Program) -> tuple[Plan, Results
         if getattr(earlier, key) != getattr(plan, key):
             what = f"was begun with another {key}"
             raise RigError(options.output, what, "begin anew in another folder: -o")
-    return earlier, results
+    return replace(earlier, rig=plan.rig), results
 
 
 def _engine(options: argparse.Namespace) -> tuple[Executor, tuple[int, int]]:

@@ -61,6 +61,13 @@ _OPTIONS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("rig", {"metavar": "FILE", "help": _RIG_HELP}),
     ("seed", {"metavar": "N", "type": _seed, "help": "instead of every rig's own seed"}),
     (
+        "world",
+        {
+            "metavar": "FILE",
+            "help": "add to the rig the disturbances of a fragment of `motorhil swarm`",
+        },
+    ),
+    (
         "record-dir",
         {
             "metavar": "DIR",

@@ -23,6 +23,7 @@ from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import NoSuchName, Rig, describe
 from motorhil.harness.rig.script import is_on_purpose, is_own_file
+from motorhil.harness.swarm.pytest_run import WATCHER, Watcher
 from motorhil.traces.errors import TraceError
 
 T = TypeVar("T")
@@ -142,13 +143,35 @@ class RigOfTest:
         self.record: RecordOfTest = RecordOfTest(self, part)
         with ExitStack() as stack:
             path, self._path_options = self._path(parameter)
-            realtime = bool(option(item.config, "realtime"))
             stack.callback(self.record.path.unlink, missing_ok=True)
-            self.rig: Rig = Rig.open(path, seed, realtime, self.record.path)
+            self.rig: Rig = self._open(path, seed)
             stack.pop_all()
             stack.enter_context(self.rig)
             stack.enter_context(bus_settings(self.rig.description.buses))
             self._stack = stack.pop_all()
+
+    def _open(self, path: Path, seed: int | None) -> Rig:
+        """Open the rig; in the world of --world if it is the rig of --rig, or none is given."""
+        realtime = bool(option(self._config, "realtime"))
+        watcher: Watcher | None = self._config.pluginmanager.get_plugin(WATCHER)
+        here = self._config.invocation_params.dir
+        given, world = option(self._config, "rig"), option(self._config, "world")
+        is_other = given is not None and (here / given).resolve() != path.resolve()
+        if is_other:
+            world = watcher = None
+        if world is not None:
+            self._path_options += [f"{self._config.stash[OWN_NAMES]['world']}={world}"]
+        place = None if world is None else here / world
+        try:
+            rig = Rig.open(path, seed, realtime, self.record.path, place)
+        except RigError as error:
+            if watcher is not None:
+                watcher.refused(error)
+            raise
+        if watcher is not None:
+            watcher.opened(rig)
+        self._watcher = watcher
+        return rig
 
     def _path(self, parameter: object) -> tuple[Path, list[str]]:
         """Return the rig's path, and the command-line words that select the same rig again."""
@@ -192,6 +215,9 @@ class RigOfTest:
             self._stack.close()
         except (RigError, TraceError) as error:
             raise _failure(str(error), self._config) from None
+        finally:
+            if self._watcher is not None:
+                self._watcher.closed(self.rig, self.record.path)
         if unanswered(self.rig):
             raise _failure("\n".join(summary(self.rig)), self._config)
 

@@ -7,16 +7,25 @@ from dataclasses import replace
 from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.swarm.engine import WorkerDied, WorkerRefused, run_chunk
+from motorhil.harness.swarm.engine import (
+    Cluster,
+    WorkerDied,
+    WorkerProcess,
+    WorkerRefused,
+    run_chunk,
+)
 from motorhil.harness.swarm.lanes import LANES, lane_of
-from motorhil.harness.swarm.plan import Plan
+from motorhil.harness.swarm.plan import PYTEST, Plan
 from motorhil.harness.swarm.results import Results
-from motorhil.harness.swarm.row import CANARY, Row, row_from
+from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 
 _CHUNK_S: Final = 2.0
 """Wall time that a chunk should take [s]."""
 _CHUNK_MAX: Final = 200
 _DEATHS_MAX: Final = 5
+_LOOK_S: Final = 2.0
+"""Wall time between looks at a cluster from which nothing comes [s]."""
+_AGAIN: Final = "resume with --resume"
 OnRows = Callable[[list[Row]], None]
 
 
@@ -77,7 +86,10 @@ class Campaign:
                 self._begin(idle.pop(0), waiting)
             if not self._running:
                 break
-            done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+            done, _ = wait(self._running, _LOOK_S, return_when=FIRST_COMPLETED)
+            if not done and isinstance(self._engine, Cluster) and self._engine.is_gone:
+                what = "the engine is gone: its scheduler is lost"
+                raise RigError(self._plan.rig, what, _AGAIN)
             for future in done:
                 lane, rows = self._taken(future, waiting)
                 if rows:
@@ -95,7 +107,10 @@ class Campaign:
             "corpus": [[one.as_table() for one in world] for world in state.corpus],
             "guided": self._guided,
         }
-        future = self._engine.submit(run_chunk, self._table, request)
+        try:
+            future = self._engine.submit(run_chunk, self._table, request)
+        except Exception as error:  # of a cluster that is gone
+            raise RigError(self._plan.rig, f"the engine is gone: {_told(error)}", _AGAIN) from None
         self._running[future] = lane, seeds, time.monotonic()
 
     def _taken(
@@ -105,20 +120,24 @@ class Campaign:
         lane, seeds, begun = self._running.pop(future)
         try:
             rows = [row_from(line) for line in future.result()]
-        except WorkerDied as error:
+        except WorkerRefused as error:
+            raise RigError(self._plan.rig, f"a worker refuses: {error}", _AGAIN) from None
+        except Exception as error:  # a worker has died, or a cluster has lost the chunk
             self._deaths += 1
             if self._deaths > _DEATHS_MAX:
-                what = f"{self._deaths} workers have died, the last one: {error}"
-                raise RigError(self._plan.rig, what, "is memory short? see --workers") from None
+                what = f"{self._deaths} workers have died, the last one: {_told(error)}"
+                raise RigError(self._plan.rig, what, f"is memory short? {_AGAIN}") from None
             waiting[lane][:0] = seeds
             return lane, []
-        except WorkerRefused as error:
-            raise RigError(self._plan.rig, f"a worker refuses: {error}") from None
         self._deaths = 0
         took_s = max(1e-3, time.monotonic() - begun)
         self._chunk = max(1, min(_CHUNK_MAX, round(len(seeds) * _CHUNK_S / took_s)))
         self._results.append(rows, _file_of(self._part))
         return lane, rows
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 def _file_of(part: tuple[int, int]) -> str:
@@ -150,10 +169,19 @@ def with_profile(plan: Plan) -> Plan:
     Raises:
         RigError: the program fails without any disturbance.
     """
-    from motorhil.harness.swarm.trial import profiled
-
-    row, profile = profiled(plan, 0)
+    worker: WorkerProcess | None = None
+    try:
+        worker = WorkerProcess(plan.as_table())
+        row, profile = worker.profile()
+    except (WorkerDied, WorkerRefused) as error:
+        raise RigError(plan.rig, f"the undisturbed run: {error}") from None
+    finally:
+        if worker is not None:
+            worker.close()
     if row.is_bad or profile is None:
+        first = "pytest" if plan.program.kind == PYTEST else "motorhil run"
         what = f"the program fails without any disturbance: {row.text or row.result.value}"
-        raise RigError(plan.rig, what, "make it pass `motorhil run` first")
+        if row.result is Result.CANCELLED:
+            what = f"the program cannot run: {row.text}"
+        raise RigError(plan.rig, what, f"make it pass `{first}` first")
     return replace(plan, profile=profile)

@@ -6,16 +6,26 @@ time, never rows that were written.
 """
 
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
-from concurrent.futures import Executor, ThreadPoolExecutor
-from typing import Any, Final, final
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any, Final, ParamSpec, TypeVar, final
 
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.row import Row, row_from
+from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 
-_COMMAND: Final = (sys.executable, "-m", "motorhil.harness.swarm.worker")
+P = ParamSpec("P")
+T = TypeVar("T")
+_COMMAND: Final = (sys.executable, "-P", "-m", "motorhil.harness.swarm.worker")
+_DONE: Final = '{"done": true}\n'
+_FAILED: Final = '{"failed": '
+_PATIENCE_S: Final = 2.0
 
 
 class WorkerDied(Exception):  # noqa: N818 -- it says what happened, as the errors of motorapi
@@ -27,10 +37,15 @@ class WorkerRefused(Exception):  # noqa: N818 -- likewise
 
 
 @final
-class Worker:
-    """A worker process with one plan."""
+class WorkerProcess:
+    """A worker process with one plan.
+
+    Raises:
+        WorkerRefused: it has another version or other files.
+    """
 
     def __init__(self, plan: dict[str, Any]) -> None:
+        self._folder = tempfile.mkdtemp(prefix="motorhil-swarm-")
         self._process = subprocess.Popen(
             _COMMAND,
             stdin=subprocess.PIPE,
@@ -38,34 +53,61 @@ class Worker:
             text=True,
             start_new_session=True,  # Ctrl-C reaches the campaign, which ends it
         )
-        answer = self._ask({"plan": plan})
-        refused = json.loads(answer)["refused"]
-        if refused:
+        try:
+            answer = self._ask({"plan": plan, "folder": self._folder})
+            refused = json.loads(answer)["refused"]
+            if refused:
+                raise WorkerRefused(refused)
+        except BaseException:
             self.close()
-            raise WorkerRefused(refused)
+            raise
 
     @property
     def pid(self) -> int:
         """The process id."""
         return self._process.pid
 
-    def rows(self, request: dict[str, Any]) -> list[Row]:
-        """Return the rows of a request.
+    def lines(self, request: dict[str, Any]) -> list[str]:
+        """Return the lines of the answer to a request, such as rows.
 
         Raises:
             WorkerDied: the worker ended before.
+            WorkerRefused: it cannot write records.
         """
-        rows = []
+        lines = []
         answer = self._ask(request)
-        while answer != '{"done": true}\n':
-            rows.append(row_from(answer))
+        while answer != _DONE:
+            if answer.startswith(_FAILED):
+                raise WorkerRefused(json.loads(answer)["failed"])
+            lines.append(answer.rstrip("\n"))
             answer = self._answer()
-        return rows
+        return lines
+
+    def profile(self) -> tuple[Row, Profile | None]:
+        """Run the undisturbed world; return its row, and what it looks like unless it failed.
+
+        Raises:
+            WorkerDied: the worker ended before.
+            WorkerRefused: it cannot write records.
+        """
+        (line,) = self.lines({"profile": True})
+        table = json.loads(line)
+        seen = table["profile"]
+        return row_from(table["row"]), None if seen is None else profile_from(seen)
 
     def close(self) -> None:
-        """End the process, also in the middle of a world."""
-        self._process.kill()
-        self._process.wait()
+        """End the process and its children, also in the middle of a world."""
+        self._process.terminate()
+        try:
+            self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            with suppress(OSError):  # what it has not read any more
+                pipe.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _ask(self, request: dict[str, Any]) -> str:
         assert self._process.stdin is not None
@@ -85,27 +127,50 @@ class Worker:
 
 
 _OWN = threading.local()
-_ALL: Final[list[Worker]] = []
+_ALL: Final[list[WorkerProcess]] = []
 
 
 def run_chunk(plan: dict[str, Any], request: dict[str, Any]) -> list[str]:
     """Return the rows of a request as lines, from this thread's worker process.
 
+    One world is tried again by another process if the first one dies.
+
     Raises:
         WorkerDied: the worker ended before.
-        WorkerRefused: this machine has another version or other files.
+        WorkerRefused: this machine has another version or other files, or its disk is full.
     """
-    key = json.dumps(plan)
-    if getattr(_OWN, "key", None) != key:
-        worker = Worker(plan)
-        _OWN.worker, _OWN.key = worker, key
-        _ALL.append(worker)
     try:
-        return [row.as_line() for row in _OWN.worker.rows(request)]
+        return _worker_of(plan).lines(request)
     except WorkerDied:
-        _OWN.key = None
-        _OWN.worker.close()
-        raise
+        _forget()
+        if "try" not in request:
+            raise
+    return _worker_of(plan).lines(request)
+
+
+def _worker_of(plan: dict[str, Any]) -> WorkerProcess:
+    """Return this thread's worker process, a new one for a new plan."""
+    if getattr(_OWN, "plan", None) != plan:
+        _forget()
+        _OWN.worker, _OWN.plan = WorkerProcess(plan), plan
+        _ALL.append(_OWN.worker)
+    worker: WorkerProcess = _OWN.worker
+    return worker
+
+
+def _forget() -> None:
+    """End the worker process of this thread."""
+    worker = getattr(_OWN, "worker", None)
+    _OWN.worker = _OWN.plan = None
+    if worker is not None:
+        worker.close()
+        if worker in _ALL:
+            _ALL.remove(worker)
+
+
+def worker_pids() -> list[int]:
+    """Return the process ids of all worker processes of this process."""
+    return [worker.pid for worker in _ALL]
 
 
 def end_workers() -> None:
@@ -119,7 +184,36 @@ def local(workers: int) -> Executor:
     return ThreadPoolExecutor(workers, thread_name_prefix="swarm")
 
 
-def dask(address: str) -> Executor:
+@final
+class Cluster(Executor):
+    """The engine of a dask scheduler."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor(pure=False, retries=2)
+
+    @property
+    def is_gone(self) -> bool:
+        """True once the scheduler is lost; what runs there then never ends."""
+        return self._client.status in ("closing", "closed")
+
+    def submit(self, call: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> "Future[T]":
+        """Run a call on the cluster.
+
+        Raises:
+            RuntimeError: the scheduler is lost.
+        """
+        if self.is_gone:
+            raise RuntimeError("its scheduler is lost")
+        future: Future[T] = self._executor.submit(call, *args, **options)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the cluster; what still runs there is dropped."""
+        self._client.close(timeout=_PATIENCE_S)
+
+
+def dask(address: str) -> Cluster:
     """Return the engine of a dask scheduler at HOST:PORT.
 
     Raises:
@@ -135,5 +229,4 @@ def dask(address: str) -> Executor:
     except OSError as error:
         remedy = "start `dask scheduler`, and name its HOST:PORT"
         raise RigError(f"dask={address}", f"no scheduler answers: {error}", remedy) from None
-    executor: Executor = client.get_executor(pure=False, retries=2)
-    return executor
+    return Cluster(client)

@@ -6,6 +6,7 @@ results of different plans never mix.
 
 import hashlib
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -45,11 +46,21 @@ class Program:
 
     def contents(self) -> bytes:
         """Return what identifies its code: the Python files of its folder, or its name."""
-        path = Path(self.name.partition("::")[0])
-        if self.kind == FUNCTION or not path.is_file():
+        path = self._file()
+        if path is None:
             return self.name.encode()
         folder = sorted(path.resolve().parent.glob("*.py"))
         return b"".join(one.name.encode() + b"\0" + one.read_bytes() for one in folder)
+
+    def _file(self) -> Path | None:
+        """Return the file of its code, without importing it; None if it is not found."""
+        if self.kind != FUNCTION:
+            path = Path(self.name.partition("::")[0])
+            return path if path.is_file() else None
+        module = Path(*self.name.partition(":")[0].split("."))
+        names = (module.with_suffix(".py"), module / "__init__.py")
+        places = [Path(place) / name for place in ("", *sys.path) for name in names]
+        return next((place for place in places if place.is_file()), None)
 
 
 @final

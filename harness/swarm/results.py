@@ -5,6 +5,7 @@ there twice counts once, and a last line that was cut is absent.
 """
 
 import json
+from bisect import bisect_left, insort
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final, final
@@ -16,6 +17,8 @@ from motorhil.harness.swarm.row import Row, row_from
 
 PLAN: Final = "plan.json"
 ROWS: Final = "rows*.jsonl"
+_LOWEST: Final = -2
+"""Below all seeds."""
 
 
 @final
@@ -30,16 +33,24 @@ class Results:
     def __init__(self, folder: Path, rows: dict[int, Row]) -> None:
         self.folder = folder
         self.rows = rows
+        self._seeds: dict[int, list[int]] = {}
+        self._lanes: dict[int, tuple[int, Lane]] = {}
+        for seed in sorted(rows):
+            self._seeds.setdefault(lane_of(seed), []).append(seed)
 
     def missing(self, seeds: Iterable[int]) -> list[int]:
         """Return those seeds that have no row."""
         return [seed for seed in seeds if seed not in self.rows]
 
     def lane(self, number: int, before: int) -> Lane:
-        """Return what the worlds of a lane met, up to a seed."""
-        lane = Lane()
-        for seed in sorted(one for one in self.rows if lane_of(one) == number and one < before):
+        """Return what the worlds of a lane met, up to a seed; later seeds cost only what is new."""
+        known, lane = self._lanes.get(number, (_LOWEST, Lane()))
+        if known > before:
+            known, lane = _LOWEST, Lane()
+        seeds = self._seeds.get(number, [])
+        for seed in seeds[bisect_left(seeds, known) : bisect_left(seeds, before)]:
             lane.learn(self.rows[seed])
+        self._lanes[number] = before, lane
         return lane
 
     def append(self, rows: Iterable[Row], name: str = "rows.jsonl") -> None:
@@ -48,15 +59,27 @@ class Results:
         Raises:
             RigError: the file cannot be written; what was written before is whole.
         """
-        new = [row for row in rows if row.seed not in self.rows]
+        new = {row.seed: row for row in rows if row.seed not in self.rows}
         path = self.folder / name
         try:
-            with path.open("ab") as file:
-                file.write(b"".join(row.as_line().encode() + b"\n" for row in new))
+            with path.open("ab", buffering=0) as file:
+                whole = file.tell()
+                left = b"".join(row.as_line().encode() + b"\n" for row in new.values())
+                try:
+                    while left:
+                        left = left[file.write(left) :]
+                except OSError:
+                    file.truncate(whole)
+                    raise
         except OSError as error:
             remedy = "free some space, then resume with --resume"
             raise RigError(path, f"cannot be written: {error.strerror}", remedy) from None
-        self.rows.update((row.seed, row) for row in new)
+        self.rows.update(new)
+        for seed in new:
+            number = lane_of(seed)
+            insort(self._seeds.setdefault(number, []), seed)
+            if seed < self._lanes.get(number, (_LOWEST,))[0]:
+                del self._lanes[number]
 
 
 def create(folder: Path, plan: Plan) -> Results:

@@ -1,38 +1,53 @@
 """Trial: one world, run in this process, judged."""
 
-import shutil
+import hashlib
+import os
 import sys
-import tempfile
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from shutil import copyfile
+from tempfile import TemporaryDirectory
+from typing import Final, final
 
 from motorhil.harness.oracles.base import Verdict, Violation
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.judge import IDS, judge
 from motorhil.harness.oracles.limits import VelocityLimit
-from motorhil.harness.rig.config.rig_file import read_rig
+from motorhil.harness.rig.config.rig_file import Known, RigDescription, read_rig
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.config.worlds import UNDECLARED
 from motorhil.harness.rig.recording import files_of
 from motorhil.harness.rig.rig import Rig, installed_plugins
-from motorhil.harness.rig.script import is_own_file, read_script, run_script
+from motorhil.harness.rig.script import (
+    Script,
+    exit_status,
+    is_own_file,
+    read_script,
+    run_script,
+)
 from motorhil.harness.swarm import properties
-from motorhil.harness.swarm.plan import FUNCTION, Plan
-from motorhil.harness.swarm.row import CANARY, Result, Row
+from motorhil.harness.swarm.child import call_forked
+from motorhil.harness.swarm.plan import FUNCTION, PYTEST, Plan
+from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.worlds.disturbance import World, fragment
 from motorhil.harness.swarm.worlds.fairness import fair, fair_in
 from motorhil.harness.swarm.worlds.observer import Observer, acts_of
 from motorhil.harness.swarm.worlds.profile import Profile, Profiler
 from motorhil.traces.digest import digest
+from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.records import Attachment
 
-if TYPE_CHECKING:
-    from motorhil.harness.rig.config.rig_file import RigDescription
-
 _TEXT_MAX: Final = 300
+_SUFFIX: Final = ".mcap"
+_RECORD: Final = f"run{_SUFFIX}"
+_WARM_S: Final = 0.1
+_LATE: Final = "still runs"
+_PYTEST: Final = f"{os.sep}_pytest{os.sep}"
 
 
 @final
@@ -55,36 +70,99 @@ class Failure:
     text: str
 
 
-def tried(plan: Plan, seed: int, world: World, record: Path | None = None) -> Row:
+class NoRecord(Exception):  # noqa: N818 -- it says what happened, as the errors of motorapi
+    """The record of a run could not be written; the run says nothing about the program."""
+
+
+def tried(plan: Plan, seed: int, world: World, passing: Path, record: Path | None = None) -> Row:
     """Run the world and return its row; pairs are not yet compared with earlier worlds.
 
     Args:
         plan: the campaign.
         seed: the world's seed, and the rig's.
         world: its disturbances.
-        record: where the record stays; None: it is removed.
+        passing: a folder for files that the caller removes.
+        record: where the record stays; None: in that folder.
+
+    Raises:
+        NoRecord: the record cannot be written.
     """
-    return _Trial(plan, seed, world, record).run()
+    return _Trial(plan, seed, world, record or passing / _RECORD).run(passing)
 
 
 def tried_in(plan: Plan, seed: int, file: Path, record: Path | None = None) -> Row:
     """Run the world of a fragment, as `tried` does; allowed errors may end the program."""
-    return _Trial(plan, seed, (), record, file).run()
+    with TemporaryDirectory(prefix="motorhil-swarm-") as name:
+        passing = Path(name)
+        trial = _Trial(plan, seed, (), record or passing / _RECORD, file)
+        if plan.program.kind != PYTEST:
+            return trial.run(passing)
+        ended = call_forked(lambda: trial.run(passing).as_line(), plan.wall_s)  # of any session
+        if ended.text is None:
+            return Row(seed, Result.TIMEOUT if ended.is_late else Result.KILLED)
+        return row_from(ended.text)
 
 
-def profiled(plan: Plan, seed: int) -> tuple[Row, Profile | None]:
+def profiled(plan: Plan, seed: int, passing: Path) -> tuple[Row, Profile | None]:
     """Run the undisturbed world; return its row, and what it looks like unless it failed."""
-    trial = _Trial(plan, seed, (), None)
-    row = trial.run(profiles=True)
+    trial = _Trial(plan, seed, (), passing / _RECORD)
+    row = trial.run(passing, profiles=True)
     return row, trial.profile
+
+
+def warm(plan: Plan, passing: Path) -> None:
+    """Import what a run needs, and run it until Python has specialised its code.
+
+    The program itself is not imported. Errors are not told: the first world has them too.
+    """
+    nothing = Script(_RECORD, b"", str(passing))
+    with suppress(Exception):
+        with Rig(_described(plan, None), record=passing / _RECORD, doubts=False) as rig:
+            Observer(rig)
+            rig.build_motors()
+            run_script(rig, nothing, ())
+            for motor in rig.motors.values():
+                with suppress(Exception):
+                    motor.enable()
+                    rig.runtime.run_for(_WARM_S)
+                    motor.disable()
+        judge(passing / _RECORD, Facts())
+        digest(passing / _RECORD)
+    if plan.program.kind == PYTEST:
+        from motorhil.harness.swarm.pytest_run import warm_pytest
+
+        warm_pytest(passing)
+
+
+@cache
+def _plugins() -> Known:
+    """Return the plugins that are installed; a process looks once."""
+    return installed_plugins()
+
+
+def _described(plan: Plan, world: Path | None) -> RigDescription:
+    return read_rig(Path(plan.rig), _plugins(), world)
+
+
+@final
+@dataclass(slots=True)
+class _Run:
+    """One rig of a trial: its observers and its failures."""
+
+    rig: Rig
+    observer: Observer
+    profiler: Profiler | None
+    failures: list[Failure] = field(default_factory=list)
+    end_ns: int = 0
+    digest: str = ""
 
 
 @final
 class _Trial:
-    """One run."""
+    """One run: of a program with one rig, or of tests with one after the other."""
 
     def __init__(
-        self, plan: Plan, seed: int, world: World, record: Path | None, file: Path | None = None
+        self, plan: Plan, seed: int, world: World, record: Path, file: Path | None = None
     ) -> None:
         self.profile: Profile | None = None
         self._plan = plan
@@ -92,114 +170,187 @@ class _Trial:
         self._world = world
         self._file = file
         self._record = record
-        self._failures: list[Failure] = []
+        self._profiles = False
+        self._runs: list[_Run] = []
+        self._refused = ""
+        self._outside: list[Failure] = []  # before the first rig
         self._ended_by = ""
+        self._lost: NoRecord | None = None
 
-    def run(self, profiles: bool = False) -> Row:
+    def run(self, passing: Path, profiles: bool = False) -> Row:
         """Run it, and judge it."""
-        passing = Path(tempfile.mkdtemp(prefix="motorhil-swarm-"))
-        try:
-            record = self._record or passing / "run.mcap"
-            try:
-                rig = self._opened(record, passing)
-            except RigError as error:
-                return Row(self._seed, Result.CANCELLED, text=str(error)[:_TEXT_MAX])
-            return self._judged(rig, record, profiles)
-        finally:
-            shutil.rmtree(passing, ignore_errors=True)
-
-    def _opened(self, record: Path, passing: Path) -> Rig:
-        world = self._file
-        if self._world:
-            world = passing / f"world-{self._seed}.toml"
-            world.write_text(fragment(self._world))
-        description = read_rig(Path(self._plan.rig), installed_plugins(), world)
-        return Rig(description, seed=abs(self._seed), record=record, doubts=False)
-
-    def _judged(self, rig: Rig, record: Path, profiles: bool) -> Row:
+        self._profiles = profiles
         properties.forget()
-        observer = Observer(rig)
-        profiler = Profiler(rig) if profiles else None
-        end_ns = self._plan.end_ns(rig.description.world.swarm)
-        is_late = self._run(rig, end_ns)
-        if profiler is not None:
-            self.profile = profiler.profile()
-        ended_ns = rig.runtime.now_ns()
-        self._judge(rig.description, record)
+        world = self._written(passing)
+        if self._plan.program.kind == PYTEST:
+            self._run_tests(passing, world)
+        else:
+            self._run_rig(world)
+        if self._lost is not None:
+            raise self._lost
+        if self._refused:
+            return Row(self._seed, Result.CANCELLED, text=self._refused[:_TEXT_MAX])
+        return self._row()
+
+    def _written(self, passing: Path) -> Path | None:
+        """Return the fragment of the world, or None if nothing disturbs it."""
+        if not self._world:
+            return self._file
+        path = passing / f"world-{self._seed}.toml"
+        try:
+            path.write_text(fragment(self._world))
+        except OSError as error:
+            what = f"cannot be written: {error.strerror}"
+            raise NoRecord(f"{path}: {what}; free some space") from None
+        return path
+
+    def _row(self) -> Row:
+        runs = self._runs
+        digests = [one.digest for one in runs]
         row = Row(
             self._seed,
             Result.PASSED,
-            end_ns=ended_ns,
-            digest=digest(record)[:16],
-            fired=len(observer.events),
+            end_ns=sum(one.end_ns for one in runs),
+            digest=(digests[0] if len(digests) == 1 else _joined(digests))[:16],
+            fired=sum(len(one.observer.events) for one in runs),
             ended_by=self._ended_by,
-            new=tuple(observer.pairs),
+            new=tuple(dict.fromkeys(pair for one in runs for pair in one.observer.pairs)),
             met=tuple(properties.met().items()),
-            acts=acts_of(self._world, [observer]),
+            acts=acts_of(self._world, [one.observer for one in runs]),
             world=self._world,
         )
-        if is_late:
-            text = f"still runs after {end_ns / 1e9:g} s; expected an end; see end_s of [swarm]"
-            self._failures.append(Failure(end_ns, "end", "still runs", "", text))
-        if not self._failures:
+        failed = next((one for one in runs if one.failures), None)
+        failures = self._outside if failed is None else failed.failures
+        if not failures:
             return row
-        first = min(self._failures, key=lambda one: one.time_ns)
+        first = min(failures, key=lambda one: one.time_ns)
         if self._seed == CANARY:
-            first = replace(first, text=", ".join(sorted({one.oracle for one in self._failures})))
+            first = replace(first, text=", ".join(sorted({one.oracle for one in failures})))
         return replace(
             row,
-            result=Result.TIMEOUT if is_late and first.oracle == "end" else Result.FAILED,
+            result=Result.TIMEOUT if first.rule == _LATE else Result.FAILED,
             oracle=first.oracle,
-            signature=_signature(first, observer),
+            signature=_signature(first, None if failed is None else failed.observer),
             text=first.text[:_TEXT_MAX],
             at_ns=first.time_ns,
         )
 
-    # --- the run ---------------------------------------------------------------------------------
+    # --- rigs ------------------------------------------------------------------------------------
 
-    def _run(self, rig: Rig, end_ns: int) -> bool:
-        """Run the program; return True if it had to be ended."""
-        alarm = rig.runtime.queue.alarm(lambda now_ns: _interrupt(rig))
-        alarm.set(end_ns)
-        try:
-            with rig:
-                self._run_program(rig)
-                if self._seed == CANARY:
-                    self._plant(rig)
-        except KeyboardInterrupt:
-            return rig.runtime.now_ns() >= end_ns
-        except Exception as error:  # of the rig's end, such as that of a party without a join
-            self._raised(error, rig)
-        return False
+    def opened(self, rig: Rig) -> None:
+        """Watch a rig that is open at time 0."""
+        run = _Run(rig, Observer(rig), Profiler(rig) if self._profiles else None)
+        self._runs.append(run)
+        end_ns = self._plan.end_ns(rig.description.world.swarm)
 
-    def _run_program(self, rig: Rig) -> None:
-        program = self._plan.program
-        if program.kind == FUNCTION:
-            try:
-                _function(program.name)(rig)
-            except Exception as error:
-                self._raised(error, rig)
-            return
-        status = run_script(
-            rig, read_script(program.name), program.words, lambda error, _: self._raised(error, rig)
-        )
-        if status and not self._failures and not self._ended_by:
-            text = f"exit status {status}; expected 0"
-            self._failures.append(Failure(rig.runtime.now_ns(), "exit", text, "", text))
+        def end(now_ns: int) -> None:
+            text = f"still runs after {end_ns / 1e9:g} s; expected an end; see end_s of [swarm]"
+            run.failures.append(Failure(end_ns, "end", _LATE, "", text))
+            rig.runtime.interrupt()
 
-    def _plant(self, rig: Rig) -> None:
+        rig.runtime.queue.alarm(end).set(end_ns)
+
+    def refused(self, error: RigError) -> None:
+        """Take the reason why the world cannot exist."""
+        path = Path(error.file)
+        if path.suffix == _SUFFIX and path != Path(self._plan.rig):
+            raise NoRecord(str(error)) from None
+        self._refused = self._refused or str(error)
+
+    def closed(self, rig: Rig, record: Path) -> None:
+        """Judge the record of a rig."""
+        if rig.recording is not None and rig.recording.error is not None:
+            raise NoRecord(str(rig.recording.error))
+        run = next(one for one in self._runs if one.rig is rig)
+        run.end_ns = rig.runtime.now_ns()
+        if self._seed == CANARY:
+            self._plant()
+        run.failures += self._judged(rig.description, record)
+        run.digest = digest(record)
+        if run.profiler is not None:
+            profile = run.profiler.profile()
+            if self.profile is None or profile.end_ns > self.profile.end_ns:
+                self.profile = profile
+        if record.parent != self._record.parent and not any(
+            one.failures for one in self._runs[:-1]
+        ):
+            copyfile(record, self._record)
+
+    def _plant(self) -> None:
         """Break a promise of the program."""
         try:
             properties.always(False, "the canary is found")
         except properties.PropertyViolated as error:
-            self._raised(error, rig)
+            self.raised(error)
 
-    def _raised(self, error: BaseException, rig: Rig) -> None:
+    # --- the run ---------------------------------------------------------------------------------
+
+    def _run_rig(self, world: Path | None) -> None:
+        """Run the program with its rig."""
+        try:
+            description = _described(self._plan, world)
+            rig = Rig(description, seed=abs(self._seed), record=self._record, doubts=False)
+        except RigError as error:
+            self.refused(error)
+            return
+        process = os.getpid()
+        self.opened(rig)
+        try:
+            with rig:
+                self._run_program(rig)
+                if os.getpid() != process:  # the program forked, and this is the copy
+                    os._exit(0)
+        except KeyboardInterrupt as error:
+            if not self._runs[-1].failures:
+                self.raised(error)
+        except TraceError as error:
+            raise NoRecord(str(error)) from None
+        except Exception as error:  # of the rig's end, such as that of a party without a join
+            self.raised(error)
+        self.closed(rig, self._record)
+
+    def _run_program(self, rig: Rig) -> None:
+        program = self._plan.program
+        if program.kind == FUNCTION:
+            status = self._call(program.name, rig)
+        else:
+            script = read_script(program.name)
+            status = run_script(rig, script, program.words, lambda error, _: self.raised(error))
+        if status and not self._runs[-1].failures and not self._ended_by:
+            text = f"exit status {status}; expected 0"
+            failure = Failure(rig.runtime.now_ns(), "exit", text, "", text)
+            self._runs[-1].failures.append(failure)
+
+    def _run_tests(self, passing: Path, world: Path | None) -> None:
+        from motorhil.harness.swarm.pytest_run import run_pytest
+
+        plan, seed = self._plan, abs(self._seed)
+        name, words = plan.program.name, plan.program.words
+        problem = run_pytest(name, words, plan.rig, seed, world, passing, self)
+        if not problem and not self._runs and not self._outside:
+            problem = f"{name} opens no rig; a test has {plan.rig} as `rig` or by `open_rig`"
+        self._refused = self._refused or problem
+
+    def _call(self, target: str, rig: Rig) -> int:
+        """Call a function of the application; return its exit status, 0 unless it calls exit."""
+        try:
+            _function(target)(rig)
+        except SystemExit as leaving:
+            return exit_status(leaving)
+        except Exception as error:
+            self.raised(error)
+        return 0
+
+    def raised(self, error: BaseException) -> None:
         """Take an exception that ended the program, or one of its threads."""
         kinds = [kind.__name__ for kind in type(error).__mro__]
         name = type(error).__name__
-        allowed = rig.description.world.swarm.allowed_errors
-        if (self._world or self._file) and any(one in kinds for one in allowed):
+        if isinstance(error, NoRecord):
+            self._lost = error
+            return
+        run = self._runs[-1] if self._runs else None
+        allowed = UNDECLARED if run is None else run.rig.description.world.swarm
+        if (self._world or self._file) and any(one in kinds for one in allowed.allowed_errors):
             self._ended_by = self._ended_by or name
             return
         place = _place(error)
@@ -210,11 +361,14 @@ class _Trial:
         elif isinstance(error, AssertionError):
             oracle, rule = "assert", f"assert at {place}"
         text = f"{name}: {message} ({place})"
-        self._failures.append(Failure(rig.runtime.now_ns(), oracle, rule, "", text))
+        failures = self._outside if run is None else run.failures
+        now_ns = 0 if run is None else run.rig.runtime.now_ns()
+        failures.append(Failure(now_ns, oracle, rule, "", text))
 
     # --- judgement -------------------------------------------------------------------------------
 
-    def _judge(self, description: "RigDescription", record: Path) -> None:
+    def _judged(self, description: RigDescription, record: Path) -> Iterator[Failure]:
+        """Yield the promises that a record shows broken."""
         asked = self._plan.oracles or description.world.swarm.oracles
         only = asked or (fair(self._world) if self._file is None else fair_in(self._file))
         facts = Facts()
@@ -225,15 +379,15 @@ class _Trial:
             if finding.verdict is Verdict.BROKEN and first is not None:
                 rule = _without_names(first.text, description)
                 role = _role(first, description)
-                failure = Failure(first.time_ns, finding.oracle, rule, role, str(first))
-                self._failures.append(failure)
+                yield Failure(first.time_ns, finding.oracle, rule, role, str(first))
 
 
-def _interrupt(rig: Rig) -> None:
-    rig.runtime.interrupt()
+def _joined(digests: Sequence[str]) -> str:
+    """Return one digest of several, in their order."""
+    return hashlib.sha256(" ".join(digests).encode()).hexdigest()
 
 
-def _at_rest(description: "RigDescription") -> Facts:
+def _at_rest(description: RigDescription) -> Facts:
     """Return limits that any motion breaks: the canary's second defect."""
     files = [Attachment(name, kind, 0, data) for name, kind, data in files_of(description)]
     return Facts(
@@ -254,13 +408,17 @@ def _function(target: str) -> Callable[[Rig], object]:
 def _place(error: BaseException) -> str:
     """Return file and line of the innermost frame that is the application's."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if not is_own_file(frame.filename)]
+    own = [
+        frame
+        for frame in frames
+        if not is_own_file(frame.filename) and _PYTEST not in frame.filename
+    ]
     if not own:
         return "?"
     return f"{Path(own[-1].filename).name}:{own[-1].lineno}"
 
 
-def _without_names(text: str, description: "RigDescription") -> str:
+def _without_names(text: str, description: RigDescription) -> str:
     words = []
     names = {*description.motors, *description.controllers, *description.buses}
     for word in text.split(" "):
@@ -269,7 +427,7 @@ def _without_names(text: str, description: "RigDescription") -> str:
     return " ".join(words)
 
 
-def _role(violation: Violation, description: "RigDescription") -> str:
+def _role(violation: Violation, description: RigDescription) -> str:
     """Return the adaptation of the motor concerned, or the kind of the controller."""
     motor = description.motors.get(violation.motor)
     if motor is not None:
@@ -281,8 +439,8 @@ def _role(violation: Violation, description: "RigDescription") -> str:
     return ""
 
 
-def _signature(failure: Failure, observer: Observer) -> str:
-    event = observer.before(failure.time_ns)
+def _signature(failure: Failure, observer: Observer | None) -> str:
+    event = None if observer is None else observer.before(failure.time_ns)
     state = "-" if event is None else event.state
     last = "undisturbed" if event is None else event.what
     return " | ".join((failure.oracle, failure.rule, failure.role or "-", state, last))

@@ -1,33 +1,39 @@
 """Worker process: runs worlds of one plan, each in a forked child.
 
-Requests and answers are lines of JSON. The first request is the plan; the answer is "ready", or the
-reason why this worker refuses. A request for a chunk is answered by its rows and "done". A child
-that hangs or dies costs its own world only, and leaves nothing behind in the next one.
+Requests and answers are lines of JSON. The first request is the plan, and a folder for files that
+pass; the answer is "ready", or the reason why this worker refuses. A request for a chunk is
+answered by its rows and "done". A child that hangs or dies costs its own world only, and leaves
+nothing behind in the next one.
 
     python -m motorhil.harness.swarm.worker
 """
 
+import gc
 import json
 import os
-import select
+import shutil
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, final
 
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import describe
+from motorhil.harness.swarm.child import (
+    CLOSED,
+    adopt_orphans,
+    call_forked,
+    end_orphans,
+    silence,
+)
 from motorhil.harness.swarm.lanes import Lane
 from motorhil.harness.swarm.plan import Plan, build, contents_of, plan_from
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
-from motorhil.harness.swarm.trial import tried
+from motorhil.harness.swarm.trial import NoRecord, profiled, tried, warm
 from motorhil.harness.swarm.worlds.disturbance import World, from_table
 
-_BYTES: Final = 1 << 16
 _TRIES: Final = 2
 """A world that something outside killed runs once more."""
 _OUTSIDE: Final = (signal.SIGKILL, signal.SIGTERM)
@@ -36,19 +42,24 @@ _OUTSIDE: Final = (signal.SIGKILL, signal.SIGTERM)
 def main() -> int:
     """Serve requests from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "w")
-    _silence()
-    plan: Plan | None = None
-    for line in sys.stdin:
+    requests = os.fdopen(os.dup(0))
+    silence()
+    adopt_orphans()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # ends the child of the moment as well
+    worker: Worker | None = None
+    for line in requests:
         request: dict[str, Any] = json.loads(line)
         if "plan" in request:
             plan = plan_from(request["plan"])
-            answer: Iterable[str] = [json.dumps({"ready": True, "refused": refusal(plan)})]
-        elif plan is None:
-            answer = [json.dumps({"refused": "no plan was given"})]
+            refused = refusal(plan)
+            if not refused:
+                worker = Worker(plan, Path(request["folder"]))
+            answer: Iterable[str] = [json.dumps({"refused": refused}) + "\n"]
         else:
-            answer = _rows(plan, request)
+            assert worker is not None, "a plan comes first"
+            answer = worker.answer(request)
         for text in answer:
-            answers.write(text + "\n")
+            answers.write(text)
             answers.flush()
     return 0
 
@@ -66,60 +77,125 @@ def refusal(plan: Plan) -> str:
     return ""
 
 
-def _rows(plan: Plan, request: dict[str, Any]) -> Iterable[str]:
-    if "try" in request:
-        world = tuple(from_table(one) for one in request["world"])
-        record = request.get("record")
-        path = None if record is None else Path(record)
-        yield run_forked(plan, request["try"], world, path).as_line()
-    else:
-        corpus = [tuple(from_table(one) for one in world) for world in request["corpus"]]
-        lane = Lane(request["seen"], corpus)
-        for seed in request["seeds"]:
-            yield _next(plan, lane, seed, request["guided"]).as_line()
-    yield json.dumps({"done": True})
+@final
+class Worker:
+    """The worlds of a plan in this process's children.
+
+    Args:
+        plan: the plan; the program's own modules are imported by children only.
+        folder: for files that pass.
+    """
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self._plan = plan
+        self._folder = folder
+        self._table = describe(Path(plan.rig)).world.swarm
+        warm(plan, folder)
+        self._tidy()
+        gc.collect()
+        gc.freeze()  # children share what they do not look at
+
+    def answer(self, request: dict[str, Any]) -> Iterable[str]:
+        """Yield the lines of the answer to a request."""
+        try:
+            if "profile" in request:
+                yield self._profile() + "\n"
+            elif "try" in request:
+                world = tuple(from_table(one) for one in request["world"])
+                record = request.get("record")
+                path = None if record is None else Path(record)
+                yield self.run(request["try"], world, path).as_line() + "\n"
+            else:
+                corpus = [tuple(from_table(one) for one in world) for world in request["corpus"]]
+                lane = Lane(request["seen"], corpus)
+                for seed in request["seeds"]:
+                    yield self._next(lane, seed, request["guided"]).as_line() + "\n"
+        except NoRecord as error:
+            yield json.dumps({"failed": str(error)}) + "\n"
+        else:
+            yield '{"done": true}\n'
+
+    def _next(self, lane: Lane, seed: int, guided: bool) -> Row:
+        """Run the next world of a lane; the row has only what is new in it."""
+        assert self._plan.profile is not None
+        world = lane.world(abs(seed), self._plan.profile, self._table, guided)
+        row = self.run(seed, world)
+        new = tuple(pair for pair in row.new if pair not in lane.seen)
+        row = replace(row, new=new if seed != CANARY else ())
+        lane.learn(row)
+        return row if row.new or row.is_bad else replace(row, world=())
+
+    def run(self, seed: int, world: World, record: Path | None = None) -> Row:
+        """Run a world in a child process; return its row whatever becomes of the child.
+
+        Raises:
+            NoRecord: the record could not be written.
+        """
+        plan, folder = self._plan, self._folder
+        row = Row(seed, Result.KILLED)
+        for _ in range(_TRIES):
+            answer = self._called(
+                seed, world, lambda: tried(plan, seed, world, folder, record).as_line()
+            )
+            row = answer if isinstance(answer, Row) else row_from(answer)
+            if row.result is not Result.KILLED:
+                break
+        return row
+
+    def _profile(self) -> str:
+        """Run the undisturbed world; return its row and its profile.
+
+        Raises:
+            NoRecord: the record could not be written.
+        """
+
+        def call() -> str:
+            row, profile = profiled(self._plan, 0, self._folder)
+            seen = None if profile is None else profile.as_table()
+            return json.dumps({"row": row.as_line(), "profile": seen})
+
+        answer = self._called(0, (), call)
+        if isinstance(answer, Row):
+            return json.dumps({"row": answer.as_line(), "profile": None})
+        return answer
+
+    def _called(self, seed: int, world: World, call: Callable[[], str]) -> str | Row:
+        """Return the answer of a child, or the row of its end."""
+        try:
+            ended = call_forked(lambda: _told(call), self._plan.wall_s)
+        finally:
+            end_orphans()
+            self._tidy()
+        if ended.is_late:
+            limit = f"{self._plan.wall_s:g} s of wall time"
+            what = f"takes more than {limit}; expected an end; see --timeout"
+            return Row(seed, Result.TIMEOUT, "end", "end | hangs | - | - | -", what, world=world)
+        if ended.text is None:
+            return _died(seed, world, ended.status)
+        table: dict[str, str] = json.loads(ended.text)
+        if "failed" in table:
+            raise NoRecord(table["failed"])
+        if "error" in table:
+            return Row(seed, Result.CANCELLED, text=table["error"])
+        return table["answer"]
+
+    def _tidy(self) -> None:
+        """Remove what a child has left in the folder."""
+        for one in self._folder.iterdir():
+            if one.is_dir():
+                shutil.rmtree(one, ignore_errors=True)
+            else:
+                one.unlink(missing_ok=True)
 
 
-def _next(plan: Plan, lane: Lane, seed: int, guided: bool) -> Row:
-    """Run the next world of a lane; the row has only what is new in it."""
-    assert plan.profile is not None
-    table = describe(Path(plan.rig)).world.swarm
-    world = lane.world(abs(seed), plan.profile, table, guided)
-    row = run_forked(plan, seed, world)
-    new = tuple(pair for pair in row.new if pair not in lane.seen)
-    row = replace(row, new=new if seed != CANARY else ())
-    lane.learn(row)
-    return row if row.new or row.is_bad else replace(row, world=())
-
-
-def run_forked(plan: Plan, seed: int, world: World, record: Path | None = None) -> Row:
-    """Run a world in a child process; return its row whatever becomes of the child."""
-    row = Row(seed, Result.KILLED)
-    for _ in range(_TRIES):
-        row = _in_child(plan, seed, world, record)
-        if row.result is not Result.KILLED:
-            break
-    return row
-
-
-def _in_child(plan: Plan, seed: int, world: World, record: Path | None) -> Row:
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        _run_and_exit(lambda: tried(plan, seed, world, record), writing)
-    os.close(writing)
-    text, is_late = _read(reading, plan.wall_s)
-    os.close(reading)
-    with suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # and what it has started
-    _, status = os.waitpid(child, 0)
-    if is_late:
-        what = f"takes more than {plan.wall_s:g} s of wall time; expected an end; see --timeout"
-        return Row(seed, Result.TIMEOUT, "end", "end | hangs | - | - | -", what, world=world)
+def _told(call: Callable[[], str]) -> str:
+    """Return the answer of a call in a child, or why there is none."""
     try:
-        return row_from(text)
-    except ValueError:
-        return _died(seed, world, status)
+        return json.dumps({"answer": call()})
+    except NoRecord as error:
+        return json.dumps({"failed": str(error)})
+    except BaseException as error:
+        return json.dumps({"error": f"{type(error).__name__}: {error}"})
 
 
 def _died(seed: int, world: World, status: int) -> Row:
@@ -129,48 +205,12 @@ def _died(seed: int, world: World, status: int) -> Row:
         return Row(seed, Result.KILLED, text=f"killed by {signal.Signals(number).name}")
     if number:
         what = f"crashed by {signal.Signals(number).name}"
+    elif os.WEXITSTATUS(status) == CLOSED:
+        what = "closed file descriptors that it had not opened"
     else:
-        what = f"left its process with status {os.waitstatus_to_exitcode(status)}"
+        what = f"left its process with status {os.WEXITSTATUS(status)}"
     signature = f"exit | {what} | - | - | -"
     return Row(seed, Result.FAILED, "exit", signature, f"the program {what}", world=world)
-
-
-def _run_and_exit(run: Callable[[], Row], writing: int) -> None:
-    """Run in the child, and send the row; never returns."""
-    status = 1
-    try:
-        os.setpgid(0, 0)
-        line = run().as_line().encode()
-        while line:
-            line = line[os.write(writing, line) :]
-        status = 0
-    except BaseException as error:
-        row = Row(0, Result.CANCELLED, text=f"{type(error).__name__}: {error}")
-        os.write(writing, row.as_line().encode())
-    finally:
-        os._exit(status)
-
-
-def _read(reading: int, wall_s: float) -> tuple[bytes, bool]:
-    """Return what the child sent, and whether it took too long."""
-    parts: list[bytes] = []
-    end = time.monotonic() + wall_s
-    while True:
-        ready, _, _ = select.select([reading], [], [], max(0.0, end - time.monotonic()))
-        if not ready:
-            return b"", True
-        part = os.read(reading, _BYTES)
-        if not part:
-            return b"".join(parts), False
-        parts.append(part)
-
-
-def _silence() -> None:
-    """Drop what programs print: their rows tell what matters."""
-    nothing = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nothing, 1)
-    os.dup2(nothing, 2)
-    os.close(nothing)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,11 @@ from pathlib import Path
 from motorhil.harness import examples
 from motorhil.harness.swarm.campaign import with_profile
 from motorhil.harness.swarm.plan import SCRIPT, Program, plan_of
-from motorhil.harness.swarm.worker import run_forked
 from motorhil.harness.swarm.worlds.disturbance import fragment
 from motorhil.harness.swarm.worlds.shrinking import cause_of, shrunk
 from tests.system.swarm.defects import CORRECT, Defect
 from tests.system.swarm.kept import KeptWorld, keep
-from tests.system.swarm.measure import WALL_S, campaign, plan_for
+from tests.system.swarm.measure import WALL_S, campaign, plan_for, run_forked
 
 EXAMPLES = Path(examples.__file__).parent
 SCRIPTS = {"two_wheels": ("two_wheels.toml", "two_wheels.py")}

@@ -12,14 +12,15 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm import trial
 from motorhil.harness.swarm.campaign import with_profile
+from motorhil.harness.swarm.child import call_forked
 from motorhil.harness.swarm.lanes import Lane, lane_of
 from motorhil.harness.swarm.plan import FUNCTION, Program, plan_of
-from motorhil.harness.swarm.row import Row
-from motorhil.harness.swarm.worker import run_forked
+from motorhil.harness.swarm.row import Result, Row, row_from
 from motorhil.harness.swarm.worlds.disturbance import fragment
 from motorhil.harness.swarm.worlds.shrinking import cause_of, shrunk
 from tests.system.swarm.defects import CORRECT, DEFECTS
@@ -55,6 +56,16 @@ def plan_for(one):
 def plan_without_profile(one):
     """Return the plan of a defect, enough to run given worlds."""
     return plan_of(one.rig, Program(FUNCTION, one.target), (), WALL_S)
+
+
+def run_forked(plan, seed, world):
+    """Return the row of a world that runs in a child of this process."""
+    with TemporaryDirectory() as folder:
+        run = partial(trial.tried, plan, seed, world, Path(folder))
+        ended = call_forked(lambda: run().as_line(), plan.wall_s)
+    if ended.text is None:
+        return Row(seed, Result.TIMEOUT if ended.is_late else Result.KILLED, world=world)
+    return row_from(ended.text)
 
 
 def campaign(one, plan, seeds, *, guided, stops=True):

@@ -4,11 +4,11 @@ import pytest
 
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.lanes import Lane
-from motorhil.harness.swarm.trial import tried, tried_in
+from motorhil.harness.swarm.trial import tried_in
 from motorhil.harness.swarm.worlds.shrinking import cause_of
 from tests.system.swarm.defects import CORRECT, DEFECTS
 from tests.system.swarm.kept import kept_worlds
-from tests.system.swarm.measure import campaign, plan_for, plan_without_profile
+from tests.system.swarm.measure import campaign, plan_for, plan_without_profile, run_forked
 
 FOUND_WITHIN = {"SwallowsAnError": 16, "RepeatsTheWholeWay": 64}
 """Seeds, at most, until the defect is found."""
@@ -22,7 +22,7 @@ def test_swarm_finds_defect_and_correct_form_passes(name):
     assert found.row is not None, f"not found in {found.worlds} worlds"
     assert not found.others
     correct = plan_without_profile(CORRECT[defect.base])
-    row = tried(correct, found.row.seed, found.row.world)
+    row = run_forked(correct, found.row.seed, found.row.world)
     assert not row.is_bad, row.text
 
 

@@ -42,6 +42,6 @@ def test_row_counts_strikes_until_the_end_of_its_run(tmp_path, monkeypatch, worl
     assert main(["new", "wheels"]) == 0
     Path("calm.py").write_text("import time\n\ntime.sleep(1.0)\n")
     plan = plan_of(Path("wheels/rig.toml"), Program(SCRIPT, "calm.py"), (), 60.0)
-    row = tried(plan, 1, world)
+    row = tried(plan, 1, world, tmp_path)
     assert dict(row.acts) == acts
     assert row.end_ns == 1_000_000_000

@@ -1,0 +1,163 @@
+"""Swarm: worlds per core and hour, and what it costs beside the same runs without it.
+
+Each world is drawn, run, recorded, judged and digested. The peer is a loop in one process that does
+the same with the same worlds. CPU time of all processes is compared, in turns, because other load
+moves wall time. Two workers against one are wall time: the figure says little on a busy machine.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from motorhil.harness import examples
+from motorhil.harness.oracles.judge import judge
+from motorhil.harness.rig.rig import Rig, describe
+from motorhil.harness.swarm.campaign import Campaign, with_profile
+from motorhil.harness.swarm.engine import end_workers, local, worker_pids
+from motorhil.harness.swarm.lanes import Lane
+from motorhil.harness.swarm.plan import FUNCTION, Plan, Program, plan_of
+from motorhil.harness.swarm.results import create
+from motorhil.harness.swarm.worlds.disturbance import World, fragment
+from motorhil.harness.swarm.worlds.fairness import fair
+from motorhil.traces.digest import digest
+from tests.benchmarks import swarm_programs
+from tests.benchmarks.bench_system import COMPILED
+
+_EXAMPLES = Path(examples.__file__).parent
+_RIGS = {
+    "two wheels": (_EXAMPLES / "two_wheels.toml", "turn", 40, 3),
+    "rover": (_EXAMPLES / "rover.toml", "drive", 4, 2),
+}
+_WARM = 2
+_MOTOR_ERROR = ("LinkError", "DeadlineExceeded", "DeviceFault", "MotionInterrupted")
+
+Figures = Iterator[tuple[str, float, str]]
+
+
+def run() -> Figures:
+    """Yield (name, figure, unit) with pure cores and, after `make compiled`, compiled ones."""
+    for python, cores in ((sys.executable, "pure"), (str(COMPILED), "compiled")):
+        if not Path(python).exists():
+            continue
+        environment = {**os.environ, "MOTORHIL_PURE": "1"} if cores == "pure" else dict(os.environ)
+        command = [python, "-P", "-m", "tests.benchmarks.bench_swarm"]
+        environment["PYTHONPATH"] = str(Path(__file__).parents[2]) if cores == "pure" else _tests()
+        done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+        for line in done.stdout.splitlines():
+            what, figure, unit = line.split("\t")
+            yield f"{cores}: {what}", float(figure), unit
+
+
+def _tests() -> str:
+    """Return a folder from which `tests` can be imported, and none of the sources beside it."""
+    folder = Path(__file__).parents[2] / "build" / "tests"
+    folder.mkdir(parents=True, exist_ok=True)
+    link = folder / "tests"
+    if not link.exists():
+        link.symlink_to(Path(__file__).parents[1], target_is_directory=True)
+    return str(folder)
+
+
+def main() -> None:
+    """Print the figures of the cores of this process."""
+    for name, (rig, function, worlds, rounds) in _RIGS.items():
+        program = Program(FUNCTION, f"{swarm_programs.__name__}:{function}")
+        plan = with_profile(plan_of(rig, program, (), 60.0))
+        for what, figure, unit in _figures(plan, worlds, rounds):
+            print(f"{name}: {what}", figure, unit, sep="\t")
+
+
+def _figures(plan: Plan, worlds: int, rounds: int) -> Figures:
+    swarm_s: list[float] = []
+    bare_s: list[float] = []
+    begin = _WARM
+    with TemporaryDirectory() as name, local(1) as engine:
+        results = create(Path(name), plan)
+        campaign = Campaign(plan, results, engine, 1, guided=False)
+        campaign.run(range(_WARM), lambda rows: None)
+        _bare(plan, range(_WARM))
+        for _ in range(rounds):
+            seeds = range(begin, begin + worlds)
+            begin += worlds
+            begun = _cpu_s()
+            campaign.run(seeds, lambda rows: None)
+            swarm_s.append((_cpu_s() - begun) / worlds)
+            begun = time.process_time()
+            _bare(plan, seeds)
+            bare_s.append((time.process_time() - begun) / worlds)
+        size = (Path(name) / "rows.jsonl").stat().st_size / begin
+        end_workers()
+    yield "worlds per core and hour", 3600.0 / min(swarm_s), "1/h"
+    overheads = sorted(one / other - 1.0 for one, other in zip(swarm_s, bare_s, strict=True))
+    yield "CPU time beyond the same runs without it", 100.0 * overheads[len(overheads) // 2], "%"
+    yield "a row of a seed", size, "bytes"
+    yield (
+        "two workers against one, wall time",
+        _speed(plan, 2, worlds) / _speed(plan, 1, worlds),
+        "x",
+    )
+
+
+def _cpu_s() -> float:
+    """Return the CPU time of this process, its workers and their ended children [s]."""
+    ticks = 0
+    for pid in worker_pids():
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        ticks += sum(map(int, fields[11:15]))
+    return time.process_time() + ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _speed(plan: Plan, workers: int, worlds: int) -> float:
+    """Return worlds per second of wall time."""
+    with TemporaryDirectory() as name, local(workers) as engine:
+        results = create(Path(name), plan)
+        campaign = Campaign(plan, results, engine, workers, guided=False)
+        campaign.run(range(4 * workers), lambda rows: None)
+        begun = time.monotonic()
+        campaign.run(range(4 * workers, 4 * workers + 2 * worlds), lambda rows: None)
+        took_s = time.monotonic() - begun
+        end_workers()
+    return 2 * worlds / took_s
+
+
+# --- the peer ------------------------------------------------------------------------------------
+
+
+def _bare(plan: Plan, seeds: range) -> None:
+    """Run, record, judge and digest the worlds of some seeds in this process."""
+    assert plan.profile is not None
+    table = describe(Path(plan.rig)).world.swarm
+    lane = Lane()
+    for seed in seeds:
+        _run_bare(plan, seed, lane.world(seed, plan.profile, table, guided=False))
+
+
+def _run_bare(plan: Plan, seed: int, world: World) -> None:
+    with TemporaryDirectory() as name:
+        file, record = Path(name) / "world.toml", Path(name) / "run.mcap"
+        file.write_text(fragment(world))
+        function = getattr(swarm_programs, plan.program.name.partition(":")[2])
+        try:
+            with Rig.open(plan.rig, seed, record=record, world=file) as rig:
+                rig.runtime.queue.alarm(partial(_interrupt, rig)).set(60_000_000_000)
+                function(rig)
+        except KeyboardInterrupt:
+            pass
+        except Exception as error:
+            if not any(kind.__name__ in _MOTOR_ERROR for kind in type(error).__mro__):
+                raise
+        judge(record, only=fair(world))
+        digest(record)
+
+
+def _interrupt(rig: Rig, now_ns: int) -> None:
+    rig.runtime.interrupt()
+
+
+if __name__ == "__main__":
+    main()
