@@ -74,6 +74,9 @@ class StopRepetition:
     Any program may stop a drive without owning it. But a former owner that stopped the drive and
     has lost it since must not stop its new owner unknowingly.
 
+    A late status may say that a drive is off that has been enabled since. Nothing is sent to such a
+    drive, which could enable it, until a later status shows it enabled.
+
     Args:
         node: the received state of the drive.
         watch: observes the deceleration.
@@ -92,6 +95,7 @@ class StopRepetition:
         self._watch = watch
         self._send = send
         self._left = _REPEATS
+        self._was_enabled = node.state is PdsState.OPERATION_ENABLED
         self._fence: BoundFence | None = None
         if fence is not None and fence.is_owned:
             with suppress(MotorBusyError):  # the drive is already lost
@@ -101,10 +105,14 @@ class StopRepetition:
     def _again(self) -> None:
         node, watch = self._node, self._watch
         enabled = node.state is PdsState.OPERATION_ENABLED
-        if node.watch is not watch or watch.ended_ns is not None or not enabled or not self._left:
+        is_over = self._was_enabled and (watch.ended_ns is not None or not enabled)
+        if node.watch is not watch or is_over or not self._left:
             self.cancel()
             return
         self._left -= 1
+        if not enabled:
+            return
+        self._was_enabled = True
         try:
             self._send(self._fence)
         except (LinkError, MotorBusyError):
@@ -287,12 +295,23 @@ class DriveControl:
         self.is_halted = True
         self._send_stop(QUICK_STOP, watch)
 
+    def stop_once_enabled(self, word: int, watch: "MotionWatch") -> None:
+        """Stop the drive if a later status shows it enabled, by a command of this program."""
+        if self._word is None or self._word & ENABLE_OPERATION != ENABLE_OPERATION:
+            return
+        self._end_repetition()
+        send = stop_sender(self.node, self._physical, self._control_id(), word)
+        self._repetition = StopRepetition(self.node, watch, self.fence, send)
+
+    def _control_id(self) -> int | None:
+        """Return the identifier of the RPDO for the controlword, or None."""
+        return None if self.facts is None else self.facts.control_id
+
     def _send_stop(self, word: int, watch: "MotionWatch | None") -> None:
         self._armed = None
         self._end_repetition()
         self._word = word
-        control_id = None if self.facts is None else self.facts.control_id
-        send = stop_sender(self.node, self._physical, control_id, word)
+        send = stop_sender(self.node, self._physical, self._control_id(), word)
         send(None)
         self._overwrite_latch(None)
         if watch is not None:

@@ -422,6 +422,8 @@ class Cia402Motor(Motor):
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._control.send_halt(watch)
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
+        else:
+            self._control.stop_once_enabled(ENABLE_OPERATION | HALT, watch)
 
     def _watch_rest(self, *, needs_bit: bool) -> RestWatch:
         """Follow the motor until it is at rest."""
@@ -446,6 +448,8 @@ class Cia402Motor(Motor):
             self._hardware.quick_stopped = True
             self._control.send_quick_stop(watch)
             self._hardware.end_stream(QUICK_STOP)
+        else:
+            self._control.stop_once_enabled(QUICK_STOP, watch)
 
     def _open_low_level(self) -> Cia402HwMotor:
         self._restore_parameters()

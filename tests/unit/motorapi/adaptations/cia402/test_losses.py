@@ -7,10 +7,13 @@ import can
 import pytest
 
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
+from motorhil.emulators.can.frame import pack
+from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
 from tests.support.motors.drive_rigs import drive
@@ -18,6 +21,7 @@ from tests.support.motors.streaming import quintic
 from tests.support.motors.wheels import MS, WINDOW_RAD, frames_on, go_to, motor_of, truth
 
 OpenRig = Callable[..., Rig]
+READY_TO_SWITCH_ON = 2.0
 
 
 @pytest.fixture
@@ -210,3 +214,49 @@ def test_drive_stops_when_the_host_falls_silent(rig: Rig):
     rig.runtime.run_for(1.0)
     assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
     assert truth(rig) < 2.5
+
+
+def with_late_status(skip, limit):
+    """Return two wheels; after `skip` statuses, `limit` of the left drive arrive 0.11 s late."""
+    rig = Rig.open(EXAMPLES / "two_wheels.toml")
+    late = FaultRule(
+        "late",
+        FaultKind.DELAY,
+        identifier=0x181,
+        skip=skip,
+        limit=limit,
+        delay_ns=111_000_000,
+    )
+    rig.faults.inject("can0", late)
+    return rig
+
+
+@pytest.mark.parametrize("stop", [Motor.stop, Motor.quick_stop])
+@pytest.mark.parametrize("skip", range(5))
+def test_stop_reaches_a_drive_whose_old_status_comes_late(stop, skip):
+    with with_late_status(skip, 2) as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        motor.set_control_mode(ControlMode.SETPOINT)
+        motor.set_setpoint(6.0)
+        motor.start()
+        with pytest.raises(MotionInterrupted, match="ended by the drive, now in state"):
+            motor.wait_until_done(timeout_s=0.5)
+        stop(motor)
+        rig.runtime.run_for(0.5)
+        assert rig.controllers["left"].snapshot()["velocity_rad_s"] == 0.0
+
+
+@pytest.mark.parametrize("stop", [Motor.stop, Motor.quick_stop])
+def test_stop_of_a_drive_that_another_program_has_switched_off_enables_nothing(stop):
+    with Rig.open(EXAMPLES / "two_wheels.toml") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        rig.runtime.send(rig.bus("can0"), pack(0x601, bytes.fromhex("2B 40 60 00 06 00 00 00")))
+        rig.runtime.run_for(0.05)
+        off = rig.controllers["left"].snapshot()["state"]
+        assert off == READY_TO_SWITCH_ON
+        stop(motor)
+        for _ in range(30):
+            rig.runtime.run_for(0.1)
+            assert rig.controllers["left"].snapshot()["state"] == off
