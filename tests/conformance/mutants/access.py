@@ -7,7 +7,7 @@ from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.motorapi.adaptations.canopen import node
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
-from motorhil.motorapi.adaptations.cia402 import hardware
+from motorhil.motorapi.adaptations.cia402 import hardware, motion
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -227,6 +227,38 @@ def parameters_stay_for_all_users():
         return applied
 
     with replaced(ParameterStore, "apply", wrong):
+        yield
+
+
+@mutant("cia402", "PAR-01")
+def parameters_stay_after_disable():
+    """The drive does not get its own parameters back when it is disabled."""
+    with replaced(Cia402Motor, "_restore_parameters", lambda _: lambda self: None):
+        yield
+
+
+@mutant("cia402", "PAR-01")
+def a_ramp_ends_within_the_window():
+    """A velocity trajectory is done within the window of velocity, not at the end of its ramp."""
+
+    def wrong(watch):
+        return lambda expected_s, duration_s: watch(expected_s, None)
+
+    with replaced(motion, "_live_watch", wrong):
+        yield
+
+
+@mutant("cia402", "LOW-09")
+def a_short_frame_hides_a_fault():
+    """The last error of any kind is taken for the fault of the drive."""
+
+    def last(standing):
+        def heard(before, emergency):
+            return emergency if emergency.code & 0xFF00 else standing(before, emergency)
+
+        return heard
+
+    with replaced(node, "standing_error", last):
         yield
 
 
