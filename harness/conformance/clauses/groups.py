@@ -138,6 +138,40 @@ def sync_quality_is_as_measured(bench: RigProtocol) -> None:
         f"start skew: {quality.start_skew_s} s reported; {seen_s:.6f} s measured",
     )
     _expect_true_times(bench, quality, track, ways)
+    _expect_times_of_each_start(bench, group, quality, way)
+
+
+def _expect_times_of_each_start(
+    bench: RigProtocol, group: MotorGroup, first: SyncQuality, way: float
+) -> None:
+    """Check that no time of one start is told as that of the next, after a stop likewise."""
+    group.set_trajectory(*trajectories_of(-way, way))
+    group.start()
+    rest_for(bench, midway_s(bench.motor, way, 0.3))
+    _expect_ends_after_starts(group, "in the second motion")
+    group.stop()
+    finish_group(bench, group)
+    _expect_ends_after_starts(group, "after a stop of the second motion")
+    group.start()
+    finish_group(bench, group)
+    for (name, was), (_, times) in zip(first.times, group.sync_quality().times, strict=True):
+        if was is not None and was.ended_ns is not None:
+            expect(
+                times is not None and times.ended_ns is not None,
+                f"{name}: the end of the first motion is reported, that of the third is not",
+            )
+
+
+def _expect_ends_after_starts(group: MotorGroup, when: str) -> None:
+    """Check that no member reports an end before its start."""
+    for name, times in group.sync_quality().times:
+        if times is None or times.started_ns is None or times.ended_ns is None:
+            continue
+        expect(
+            times.ended_ns >= times.started_ns,
+            f"{name}, {when}: the end is reported at {times.ended_ns / 1e9:.6f} s, before the start"
+            f" at {times.started_ns / 1e9:.6f} s",
+        )
 
 
 def _expect_true_times(
