@@ -684,7 +684,7 @@ def _start_alone(bench: RigProtocol, motor: Motor) -> None:
 )
 def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
     """Whichever frame of a common start is lost, all members move, or none and start() fails."""
-    hit = 0
+    hit, halved = 0, None
     for skip in range(_FRAMES):
         bench.afresh()
         way = half_move(bench)
@@ -704,11 +704,34 @@ def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
         rest_for(bench, 1.0)
         for motor in group:
             expect_rest(bench, motor, f"{which}, start() failed: {motor.name}")
+        ways = zip(before, positions_of(bench, group), strict=True)
+        if halved is None and any(abs(now - was) > 0.1 * way for was, now in ways):
+            halved = skip
         first, second = bench.motors[:2]
         rested = position_of(bench, first)
         _start_alone(bench, second)
         expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
     reached(hit > 0, "the loss of a frame")
+    if halved is not None:
+        _expect_failed_start_is_stopped(bench, halved)
+
+
+def _expect_failed_start_is_stopped(bench: RigProtocol, skip: int) -> None:
+    """Expect that a start of which one member fails ends a slow motion of the others, too."""
+    bench.afresh()
+    way, group = half_move(bench), pair_of(bench, 0.0, 0.0)
+    limits = DerivativeLimits(first=_SLOWLY * min(motor.model.velocity_max for motor in group))
+    for side in (1.0, -1.0):  # with the first one, both motors are fully set up
+        ways = side * way, -side * way
+        group.set_trajectory(*(TrapezoidalTrajectory(one, limits=limits) for one in ways))
+        with bench.silence_host(skip=skip, limit=1) if side < 0.0 else nullcontext():
+            error = failure_of(group.start)
+        if side > 0.0:
+            finish_group(bench, group)
+    rest_for(bench, 0.5)
+    for motor in group if error is not None else ():
+        what = f"frame {skip + 1} of the host was lost, start() of a slow motion failed"
+        expect_rest(bench, motor, f"{what}: {motor.name}")
 
 
 @clause(

@@ -19,6 +19,7 @@ from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.logical_motor import LogicalMotor
+from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from tests.conformance.mutants import mutant, replaced
 
@@ -274,4 +275,20 @@ def hardware_object_sets_no_mode():
         return checked
 
     with replaced(Cia402HwMotor, "set_mode", wrong):
+        yield
+
+
+@mutant("cia402", "HOME-02")
+def a_search_goes_on_beyond_its_time():
+    """A homing whose time is over fails, and the motor searches on."""
+
+    def wrong(home):
+        def homed(self, method=None, *, wait=True, timeout_s=60.0):
+            home(self, method, wait=False)
+            if wait:
+                self.wait_until_done(timeout_s)
+
+        return homed
+
+    with replaced(Motor, "home", wrong):
         yield

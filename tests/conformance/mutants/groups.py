@@ -168,6 +168,17 @@ def times_of_the_drives_own_clock():
         yield
 
 
+@mutant("cia402", "SYNC-06")
+def others_go_on_after_a_failed_start():
+    """A start of which one member fails is given up, and the others make their motions."""
+
+    def wrong(abandon):
+        return lambda started, runs, error: execution._disarm(started, error)
+
+    with replaced(execution, "_abandon", wrong):
+        yield
+
+
 @mutant("software", "SYNC-02")
 def an_end_outlives_its_motion():
     """The end of a motion is reported until the next one has ended."""
