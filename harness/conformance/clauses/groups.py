@@ -413,6 +413,24 @@ def group_operations_reach_every_member(bench: RigProtocol) -> None:
             expect(moved < 0.5 * way, f"{what} moved on by {moved:g} of {way:g}")
         group.for_each(Motor.enable)
     _expect_removal(bench, group)
+    _expect_stop_of_the_others(bench)
+
+
+def _expect_stop_of_the_others(bench: RigProtocol) -> None:
+    """Expect that a group is stopped although one member, the first, cannot be any more."""
+    first, second = bench.motors[:2]
+    way = 2.0 * half_move(bench)
+    group = pair_of(bench, way, way)
+    group.for_each(Motor.start)  # not by the group, whose reaction would stop them anyway
+    rest_for(bench, midway_s(second, way, 0.3))
+    was = position_of(bench, second)
+    first.close()
+    error = failure_of(group.stop)
+    expect(error is not None, f"stop() of a group did not tell that {first.name} was closed")
+    second.wait_until_done(10.0)
+    moved = abs(position_of(bench, second) - was)
+    what = f"{first.name} was closed, and its group stopped: {second.name}"
+    expect(moved < 0.5 * way, f"{what} moved on by {moved:g} of {way:g}")
 
 
 def _expect_removal(bench: RigProtocol, group: MotorGroup) -> None:

@@ -168,6 +168,21 @@ def times_of_the_drives_own_clock():
         yield
 
 
+@mutant("ideal", "SYNC-04")
+def a_stop_of_a_group_ends_with_the_first_error():
+    """If one member cannot be stopped, those behind it are not tried."""
+
+    def wrong(_):
+        def every(self, method):
+            for motor in self:
+                method(motor)
+
+        return every
+
+    with replaced(MotorGroup, "_every", wrong):
+        yield
+
+
 @mutant("cia402", "SYNC-06")
 def others_go_on_after_a_failed_start():
     """A start of which one member fails is given up, and the others make their motions."""
