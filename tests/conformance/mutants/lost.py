@@ -238,6 +238,13 @@ def stream_into_the_void():
         yield
 
 
+@mutant("cia402", "LOST-11")
+def what_was_heard_never_grows_old():
+    """The last status is told as the present one, although its message stays away."""
+    with patch.object(DriveNode, "is_old", False):
+        yield
+
+
 @mutant("cia402", "LOST-09")
 def a_stop_is_sent_once():
     """A stop is sent once, and not again if the drive does not obey."""

@@ -331,6 +331,8 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         told = motor.position()
         before = begin_move(bench, motor, way, 0.3 * expected_s)
         with bench.lose_identifier(identifier) as count:
+            rest_for(bench, bench.facts.lost_s + bench.facts.time_tolerance_s)
+            _expect_latest_or_gone(bench, motor, told - before, what)
             error = failure_of(partial(finish, bench, motor, expected_s))
             rest_for(bench, until_rest_s(bench, motor))
             with suppress(MotorError):  # else it is fresh
@@ -351,6 +353,18 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
         expect_usable(bench, motor, what)
     reached(lost > 0, "the loss of a frame")
+
+
+def _expect_latest_or_gone(bench: RigProtocol, motor: Motor, offset: float, what: str) -> None:
+    """Expect that a motor, which nobody asks, is where it was last heard, or offline."""
+    latest = motor.latest()
+    if latest is None or latest.position is None or latest.state in _GONE:
+        return
+    off = abs(latest.position - offset - bench.true_position(motor))
+    expect(
+        off <= 2.0 * bench.facts.window + 0.1 * long_move(bench),
+        f"{what}: latest() says {latest.state.value}, {off:g} {motor.model.unit} from its place",
+    )
 
 
 @clause(
