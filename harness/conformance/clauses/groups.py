@@ -138,6 +138,40 @@ def sync_quality_is_as_measured(bench: RigProtocol) -> None:
         f"start skew: {quality.start_skew_s} s reported; {seen_s:.6f} s measured",
     )
     _expect_true_times(bench, quality, track, ways)
+    _expect_times_of_each_start(bench, group, quality, way)
+
+
+def _expect_times_of_each_start(
+    bench: RigProtocol, group: MotorGroup, first: SyncQuality, way: float
+) -> None:
+    """Check that no time of one start is told as that of the next, after a stop likewise."""
+    group.set_trajectory(*trajectories_of(-way, way))
+    group.start()
+    rest_for(bench, midway_s(bench.motor, way, 0.3))
+    _expect_ends_after_starts(group, "in the second motion")
+    group.stop()
+    finish_group(bench, group)
+    _expect_ends_after_starts(group, "after a stop of the second motion")
+    group.start()
+    finish_group(bench, group)
+    for (name, was), (_, times) in zip(first.times, group.sync_quality().times, strict=True):
+        if was is not None and was.ended_ns is not None:
+            expect(
+                times is not None and times.ended_ns is not None,
+                f"{name}: the end of the first motion is reported, that of the third is not",
+            )
+
+
+def _expect_ends_after_starts(group: MotorGroup, when: str) -> None:
+    """Check that no member reports an end before its start."""
+    for name, times in group.sync_quality().times:
+        if times is None or times.started_ns is None or times.ended_ns is None:
+            continue
+        expect(
+            times.ended_ns >= times.started_ns,
+            f"{name}, {when}: the end is reported at {times.ended_ns / 1e9:.6f} s, before the start"
+            f" at {times.started_ns / 1e9:.6f} s",
+        )
 
 
 def _expect_true_times(
@@ -379,6 +413,24 @@ def group_operations_reach_every_member(bench: RigProtocol) -> None:
             expect(moved < 0.5 * way, f"{what} moved on by {moved:g} of {way:g}")
         group.for_each(Motor.enable)
     _expect_removal(bench, group)
+    _expect_stop_of_the_others(bench)
+
+
+def _expect_stop_of_the_others(bench: RigProtocol) -> None:
+    """Expect that a group is stopped although one member, the first, cannot be any more."""
+    first, second = bench.motors[:2]
+    way = 2.0 * half_move(bench)
+    group = pair_of(bench, way, way)
+    group.for_each(Motor.start)  # not by the group, whose reaction would stop them anyway
+    rest_for(bench, midway_s(second, way, 0.3))
+    was = position_of(bench, second)
+    first.close()
+    error = failure_of(group.stop)
+    expect(error is not None, f"stop() of a group did not tell that {first.name} was closed")
+    second.wait_until_done(10.0)
+    moved = abs(position_of(bench, second) - was)
+    what = f"{first.name} was closed, and its group stopped: {second.name}"
+    expect(moved < 0.5 * way, f"{what} moved on by {moved:g} of {way:g}")
 
 
 def _expect_removal(bench: RigProtocol, group: MotorGroup) -> None:
@@ -650,7 +702,7 @@ def _start_alone(bench: RigProtocol, motor: Motor) -> None:
 )
 def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
     """Whichever frame of a common start is lost, all members move, or none and start() fails."""
-    hit = 0
+    hit, halved = 0, None
     for skip in range(_FRAMES):
         bench.afresh()
         way = half_move(bench)
@@ -670,11 +722,34 @@ def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
         rest_for(bench, 1.0)
         for motor in group:
             expect_rest(bench, motor, f"{which}, start() failed: {motor.name}")
+        ways = zip(before, positions_of(bench, group), strict=True)
+        if halved is None and any(abs(now - was) > 0.1 * way for was, now in ways):
+            halved = skip
         first, second = bench.motors[:2]
         rested = position_of(bench, first)
         _start_alone(bench, second)
         expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
     reached(hit > 0, "the loss of a frame")
+    if halved is not None:
+        _expect_failed_start_is_stopped(bench, halved)
+
+
+def _expect_failed_start_is_stopped(bench: RigProtocol, skip: int) -> None:
+    """Expect that a start of which one member fails ends a slow motion of the others, too."""
+    bench.afresh()
+    way, group = half_move(bench), pair_of(bench, 0.0, 0.0)
+    limits = DerivativeLimits(first=_SLOWLY * min(motor.model.velocity_max for motor in group))
+    for side in (1.0, -1.0):  # with the first one, both motors are fully set up
+        ways = side * way, -side * way
+        group.set_trajectory(*(TrapezoidalTrajectory(one, limits=limits) for one in ways))
+        with bench.silence_host(skip=skip, limit=1) if side < 0.0 else nullcontext():
+            error = failure_of(group.start)
+        if side > 0.0:
+            finish_group(bench, group)
+    rest_for(bench, 0.5)
+    for motor in group if error is not None else ():
+        what = f"frame {skip + 1} of the host was lost, start() of a slow motion failed"
+        expect_rest(bench, motor, f"{what}: {motor.name}")
 
 
 @clause(

@@ -13,6 +13,7 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
     expect_raises,
     failure_of,
     finish,
@@ -24,7 +25,14 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
-from motorhil.motorapi import LimitError, Motor, TrapezoidalTrajectory, UnsupportedError, UsageError
+from motorhil.motorapi import (
+    ControlVariable,
+    LimitError,
+    Motor,
+    TrapezoidalTrajectory,
+    UnsupportedError,
+    UsageError,
+)
 
 _WINDOWS: Final = (0x6067, 0x6068, 0x6065, 0x6066, 0x606D, 0x606E)  # CiA 402-2
 """Window and time of position, following error and velocity."""
@@ -37,6 +45,8 @@ _OFF: Final = 0xFFFF_FFFF
 _LOOK_S: Final = 0.2
 _VALUES: Final = (0.5, 5.0)
 _PERIOD_MS: Final = 95
+_FIRST_RPDO: Final = 0x200  # CiA 301, predefined connection set
+_RAMP_S: Final = 0.5
 
 
 def _parameters_of(motor: Motor) -> tuple[Any, Callable[[Any], None]]:
@@ -93,6 +103,7 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
         if error is not None:
             raise NotApplicable(f"the drive lacks {index:04X}h: {error}")
     begin, begin_inc = motor.position(), hardware.read(_POSITION)
+    at_first = [hardware.read(index) for index in _WINDOWS]
     before = _read_in_motion(bench, motor, hardware, way)
     per_unit = abs((hardware.read(_POSITION) - begin_inc) / (motor.position() - begin))
     kind = type(own)
@@ -115,6 +126,10 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
         is_right = seen not in (was, 0) if value is None else abs(seen - value) <= 0.02 * value + 1
         text = "another value than before" if value is None else f"{value:.0f}"
         expect(is_right, f"a start with parameters: {index:04X}h is {seen}; expected {text}")
+    _expect_whole_ramp(bench, motor)
+    motor.disable()
+    found = [hardware.read(index) for index in _WINDOWS]
+    expect(found == at_first, f"disable() leaves {found} in the drive; before: {at_first}")
     set_parameters(kind(following_error_window=inf))
     found = _read_in_motion(bench, motor, hardware, way)
     wanted = [*before[:2], _OFF, *before[3:]]
@@ -122,6 +137,26 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
     found = _read_in_motion(bench, bench.another_user_of(motor), hardware, -way)
     expect(found == before, f"a start of another logical motor: {found}; expected {before}")
     _expect_refusals(motor, kind, set_parameters)
+
+
+def _expect_whole_ramp(bench: RigProtocol, motor: Motor) -> None:
+    """Expect that a wide window of velocity does not shorten a ramp: it is done at its end."""
+    model = motor.model
+    rate = min(model.acceleration_max, model.deceleration)
+    asked = 0.5 * min(model.velocity_max, rate * _RAMP_S)
+    begun_ns = bench.runtime.now_ns()
+    try:
+        ramp = TrapezoidalTrajectory(asked, duration_s=_RAMP_S)
+        follow(motor, ramp, ControlVariable.VELOCITY)
+    except UnsupportedError:
+        return
+    finish(bench, motor, _RAMP_S)
+    took_s = elapsed_s(bench, begun_ns)
+    motor.stop()
+    finish(bench, motor)
+    expect(
+        took_s >= _RAMP_S, f"a velocity ramp of {_RAMP_S:g} s is reported done at {took_s:.3f} s"
+    )
 
 
 @clause(
@@ -229,6 +264,21 @@ def hardware_object_tells_its_drive(bench: RigProtocol) -> None:
     before = motor.position()
     move(bench, motor, 0.1 * long_move(bench))
     expect(motor.position() != before, "the motor does not move any more")
+    _expect_fault_outlasts_a_short_frame(bench, motor, hardware)
+
+
+def _expect_fault_outlasts_a_short_frame(bench: RigProtocol, motor: Motor, hardware: Any) -> None:
+    """Expect that a fault keeps its code although the drive reports a frame that is too short."""
+    code = bench.fail(motor)
+    rest_for(bench, _LOOK_S)
+    hardware.send_frame(_FIRST_RPDO + hardware.node.node_id, bytes(1))
+    rest_for(bench, _LOOK_S)
+    fault = motor.fault()
+    expect(
+        fault is not None and fault.code == code,
+        f"fault {code:04X}h, and then a PDO of 1 byte: fault() is {fault}; expected the fault",
+    )
+    motor.reset_fault()
 
 
 def _expect_objects(hardware: Any) -> None:

@@ -219,6 +219,13 @@ def reservation_lasts_for_its_block(bench: RigProtocol) -> None:
             )
         expect(reservation.is_held, "is_held is False inside the block")
     _expect_free(bench, other, "after a reservation")
+    with motor.reserve("survey"):
+        with motor.reserve("a part of it", lease_s=_LEASE_S):
+            pass
+        rest_for(bench, 2.0 * _LEASE_S)
+        error = _refusal_of(other.start)
+        what = "moved in a reservation without a lease, after a part of it that had one"
+        expect(error is not None, f"{other.name} {what}")
     with suppress(ZeroDivisionError), motor.reserve("survey"):
         raise ZeroDivisionError
     _expect_free(bench, other, "after a block left by an error")

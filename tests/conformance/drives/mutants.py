@@ -179,6 +179,20 @@ def abort_connection_is_ignored(patch):
     _always(patch, PowerDrive, "abort_connection", None)
 
 
+@mutant("NMT-04")
+def connection_is_watched_in_operation_alone(patch):
+    """6007h has no effect before operation is enabled."""
+
+    def make(good):
+        def abort(self, code, now_ns):
+            if self.fsa.state is not _S.SWITCHED_ON:
+                good(self, code, now_ns)
+
+        return abort
+
+    _wrap(patch, PowerDrive, "abort_connection", make)
+
+
 # --- power
 
 
@@ -948,6 +962,12 @@ def directions_are_swapped(patch):
 def relative_moves_count_from_the_target(patch):
     """60F2h bits 0 and 1 have no effect."""
     _always(patch, MotionObjects, "relative_to", 0)
+
+
+@mutant("PP-08")
+def relative_moves_count_from_the_demand(patch):
+    """60F2h = 2 means the demand, not the position."""
+    _wrap(patch, MotionObjects, "relative_to", lambda good: lambda s: min(good(s), 1))
 
 
 @mutant("PP-09")

@@ -7,7 +7,7 @@ from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.motorapi.adaptations.canopen import node
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
-from motorhil.motorapi.adaptations.cia402 import hardware
+from motorhil.motorapi.adaptations.cia402 import hardware, motion
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.hardware import Cia402HwMotor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -19,6 +19,7 @@ from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.logical_motor import LogicalMotor
+from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from tests.conformance.mutants import mutant, replaced
 
@@ -230,6 +231,38 @@ def parameters_stay_for_all_users():
         yield
 
 
+@mutant("cia402", "PAR-01")
+def parameters_stay_after_disable():
+    """The drive does not get its own parameters back when it is disabled."""
+    with replaced(Cia402Motor, "_restore_parameters", lambda _: lambda self: None):
+        yield
+
+
+@mutant("cia402", "PAR-01")
+def a_ramp_ends_within_the_window():
+    """A velocity trajectory is done within the window of velocity, not at the end of its ramp."""
+
+    def wrong(watch):
+        return lambda expected_s, duration_s: watch(expected_s, None)
+
+    with replaced(motion, "_live_watch", wrong):
+        yield
+
+
+@mutant("cia402", "LOW-09")
+def a_short_frame_hides_a_fault():
+    """The last error of any kind is taken for the fault of the drive."""
+
+    def last(standing):
+        def heard(before, emergency):
+            return emergency if emergency.code & 0xFF00 else standing(before, emergency)
+
+        return heard
+
+    with replaced(node, "standing_error", last):
+        yield
+
+
 @mutant("cia402", "LOW-09")
 def hardware_object_sets_no_mode():
     """set_mode() of the hardware object checks the mode, and does not set it."""
@@ -242,4 +275,20 @@ def hardware_object_sets_no_mode():
         return checked
 
     with replaced(Cia402HwMotor, "set_mode", wrong):
+        yield
+
+
+@mutant("cia402", "HOME-02")
+def a_search_goes_on_beyond_its_time():
+    """A homing whose time is over fails, and the motor searches on."""
+
+    def wrong(home):
+        def homed(self, method=None, *, wait=True, timeout_s=60.0):
+            home(self, method, wait=False)
+            if wait:
+                self.wait_until_done(timeout_s)
+
+        return homed
+
+    with replaced(Motor, "home", wrong):
         yield

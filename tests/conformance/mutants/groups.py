@@ -7,6 +7,8 @@ from unittest.mock import patch
 from motorhil.motorapi import MotorGroup, Synchronization, execution, group
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.host_servo.axis import ServoAxis
+from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.errors import MotorError, UsageError
 from motorhil.motorapi.group import CommonMotion
 from motorhil.motorapi.ownership.reservation import Reservation
@@ -163,6 +165,64 @@ def times_of_the_drives_own_clock():
         return told
 
     with replaced(Cia402Motor, "_motion_times", wrong):
+        yield
+
+
+@mutant("ideal", "SYNC-04")
+def a_stop_of_a_group_ends_with_the_first_error():
+    """If one member cannot be stopped, those behind it are not tried."""
+
+    def wrong(_):
+        def every(self, method):
+            for motor in self:
+                method(motor)
+
+        return every
+
+    with replaced(MotorGroup, "_every", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-06")
+def others_go_on_after_a_failed_start():
+    """A start of which one member fails is given up, and the others make their motions."""
+
+    def wrong(abandon):
+        return lambda started, runs, error: execution._disarm(started, error)
+
+    with replaced(execution, "_abandon", wrong):
+        yield
+
+
+@mutant("software", "SYNC-02")
+def an_end_outlives_its_motion():
+    """The end of a motion is reported until the next one has ended."""
+
+    def wrong(begin):
+        def begun(self, cycle):
+            ended_ns = self.ended_ns
+            begin(self, cycle)
+            self.ended_ns = ended_ns
+
+        return begun
+
+    with replaced(ServoAxis, "begin", wrong):
+        yield
+
+
+@mutant("ideal", "SYNC-02")
+def a_stop_hides_all_later_ends():
+    """After a motion that was stopped, no end is reported any more."""
+
+    def wrong(begin):
+        def begun(self, now_ns):
+            was_cut_short = self._cut_short
+            begin(self, now_ns)
+            self._cut_short = was_cut_short
+
+        return begun
+
+    with replaced(IdealHwMotor, "begin", wrong):
         yield
 
 

@@ -5,6 +5,7 @@ from unittest.mock import patch
 
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
+from motorhil.motorapi.adaptations.cia402.controlword import StopRepetition
 from motorhil.motorapi.adaptations.cia402.csp import CspStream
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
 from motorhil.motorapi.adaptations.cia402.motion_status import StreamWatch
@@ -13,6 +14,7 @@ from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
 from motorhil.motorapi.api.can_drive import CanDrive
+from motorhil.motorapi.api.polled_hardware import PolledHardware
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import Setpoint
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
@@ -233,6 +235,27 @@ def believes_what_it_wrote_before_a_restart():
 def stream_into_the_void():
     """Set-points are streamed to the end, even if the drive does not follow."""
     with replaced(CspStream, "_is_followed", lambda _: lambda stream, now_ns: True):
+        yield
+
+
+@mutant("cia402", "LOST-11")
+def what_was_heard_never_grows_old():
+    """The last status is told as the present one, although its message stays away."""
+    with patch.object(DriveNode, "is_old", False):
+        yield
+
+
+@mutant("cia402", "LOST-09")
+def a_stop_is_sent_once():
+    """A stop is sent once, and not again if the drive does not obey."""
+    with replaced(StopRepetition, "_again", lambda _: StopRepetition.cancel):
+        yield
+
+
+@mutant("leadshine", "LOST-09")
+def a_stop_without_answer_is_given_up():
+    """A stop that was not answered is not sent again, although the motor moves."""
+    with replaced(PolledHardware, "_stop_again", lambda _: lambda self, is_moving: None):
         yield
 
 

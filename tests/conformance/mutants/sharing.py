@@ -113,6 +113,21 @@ def each_believes_what_it_wrote_itself():
 
 
 @mutant("ideal", "SHARE-05")
+def a_lease_outlives_its_block():
+    """The lease of a reservation inside another one stays after its block."""
+
+    def wrong(set_lease):
+        def kept(self, lease_s):
+            if lease_s is not None:
+                set_lease(self, lease_s)
+
+        return kept
+
+    with replaced(Claim, "set_lease", wrong):
+        yield
+
+
+@mutant("ideal", "SHARE-05")
 def not_given_back_after_an_error():
     """A reservation that is left by an error is not released."""
     kept = []

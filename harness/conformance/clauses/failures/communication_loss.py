@@ -50,6 +50,8 @@ from motorhil.motorapi import (
 _BACK_S = 1.0
 _EXAMPLES = 10
 _FRAMES = 14  # a start, and a few frames after it
+_FRAMES_OF_STOP = 3  # the stop, and frames that go before it
+_SLOW = 4.0  # times the shortest move: a stop can be repeated before its end
 _HOLDS = 0.2  # of the largest torque
 _GONE = (MotorState.OFFLINE, MotorState.FAULT)
 _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
@@ -276,7 +278,7 @@ def stream_without_sync_fails_and_stops(bench: RigProtocol) -> None:
     source="Sharing and locking, at most once; requirement 1; errors: DeadlineExceeded, PeerError",
 )
 def lost_frame_keeps_report_truthful(bench: RigProtocol) -> None:
-    """Whichever single frame of a move is lost, the move is reported done, or fails, truthfully."""
+    """Whichever frame of a move is lost, it is done, or fails, truthfully; of a stop, it stops."""
     hit = 0
     for skip in range(_FRAMES):
         for lose_answers in (True, False):
@@ -289,6 +291,24 @@ def lost_frame_keeps_report_truthful(bench: RigProtocol) -> None:
                 lose = bench.lose_answers_of(motor, skip=skip, limit=1)
             hit += move_through(bench, motor, lose, which)
     reached(hit > 0, "the loss of a frame")
+    for skip in range(_FRAMES_OF_STOP):
+        _expect_stop_without_frame(bench, skip)
+
+
+def _expect_stop_without_frame(bench: RigProtocol, skip: int) -> None:
+    """Expect that a stop brings the motor to rest although a frame of the host is lost."""
+    bench.afresh()
+    motor, way = bench.motor, long_move(bench)
+    motor.enable()
+    before, slowly_s = position_of(bench, motor), _SLOW * shortest_s(motor, way)
+    follow(motor, TrapezoidalTrajectory(way, duration_s=slowly_s))
+    rest_for(bench, 0.2 * slowly_s)
+    with bench.silence_host(skip=skip, limit=1):
+        failure_of(motor.stop, partial(motor.wait_until_done, 0.6 * slowly_s))
+    what = f"frame {skip + 1} of the host lost in a stop"
+    expect_rest(bench, motor, what)
+    made, unit = abs(position_of(bench, motor) - before), motor.model.unit
+    expect(made < 0.9 * abs(way), f"{what}: moved {made:g} {unit} of {way:g} {unit}; not stopped")
 
 
 @clause(
@@ -311,6 +331,8 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         told = motor.position()
         before = begin_move(bench, motor, way, 0.3 * expected_s)
         with bench.lose_identifier(identifier) as count:
+            rest_for(bench, bench.facts.lost_s + bench.facts.time_tolerance_s)
+            _expect_latest_or_gone(bench, motor, told - before, what)
             error = failure_of(partial(finish, bench, motor, expected_s))
             rest_for(bench, until_rest_s(bench, motor))
             with suppress(MotorError):  # else it is fresh
@@ -331,6 +353,18 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
         expect_usable(bench, motor, what)
     reached(lost > 0, "the loss of a frame")
+
+
+def _expect_latest_or_gone(bench: RigProtocol, motor: Motor, offset: float, what: str) -> None:
+    """Expect that a motor, which nobody asks, is where it was last heard, or offline."""
+    latest = motor.latest()
+    if latest is None or latest.position is None or latest.state in _GONE:
+        return
+    off = abs(latest.position - offset - bench.true_position(motor))
+    expect(
+        off <= 2.0 * bench.facts.window + 0.1 * long_move(bench),
+        f"{what}: latest() says {latest.state.value}, {off:g} {motor.model.unit} from its place",
+    )
 
 
 @clause(

@@ -66,6 +66,7 @@ _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 _METHODS: Final = range(1, 38)  # CiA 402-2, 6098h
 _HERE = 37
 _SPOT_S: Final = 0.5
+_SEARCH_S: Final = 0.4
 _LATE_S: Final = (0.11, 0.21, 0.31)
 _LATE_PLACES: Final = 4
 _NO_METHOD = 77  # reserved in CiA 402-2
@@ -574,10 +575,10 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     "HOME-02",
     Level.L2,
     needs={Capability.POSITION_TRAJECTORY},
-    source="Motor.home: UnsupportedError, the motor does not know the method",
+    source="Motor.home: UnsupportedError, the motor does not know the method; timeout_s: stopped",
 )
 def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
-    """Unknown homing methods are refused with UnsupportedError; the motor does not move."""
+    """Unknown homing methods are refused, and do not move; a search beyond its time is stopped."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     origin = motor.position()
     move(bench, motor, way)
@@ -591,6 +592,20 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
     expect_unmoved(bench, motor, before, f"homing method {_NO_METHOD} was refused")
     move(bench, motor, way)
     expect_at(bench, motor, origin + 2.0 * way, "moved after a homing was refused")
+    method = bench.facts.seeking_method
+    if method is not None and Capability.HOMING not in bench.facts.without:
+        _expect_search_is_stopped(bench, motor, method)
+
+
+def _expect_search_is_stopped(bench: RigProtocol, motor: Motor, method: int) -> None:
+    """Expect that a homing which finds nothing in its time fails, and is stopped."""
+    error = failure_of(partial(motor.home, method, timeout_s=_SEARCH_S))
+    if isinstance(error, UnsupportedError):
+        return
+    what = f"homing by method {method} for {_SEARCH_S:g} s"
+    expect(isinstance(error, DeadlineExceeded), f"{what}: {error!r}; expected DeadlineExceeded")
+    rest_for(bench, motor.model.velocity_max / motor.model.deceleration)
+    expect_rest(bench, motor, f"{what}, and then")
 
 
 @clause(

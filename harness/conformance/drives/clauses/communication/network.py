@@ -162,7 +162,24 @@ def host_lost(bench: DriveBench) -> None:
         drive.await_emergency(0x8130, begin_ns, f"{what} lost after {_CONSUMER_MS} ms")
         drive.await_state(state, f"{what} lost", "reaction of 6007h")
         drive.write(od.HEARTBEAT_CONSUMER, 0)
+    _expect_fault_when_switched_on(drive)
     _expect_error_behaviour(drive)
+
+
+def _expect_fault_when_switched_on(drive: Drive) -> None:
+    """Expect that 6007h = 1 makes a lost host a fault also before operation is enabled."""
+    if drive.offer_value(od.ABORT_CONNECTION, 1):
+        return
+    drive.command(0)
+    drive.become(State.READY_TO_SWITCH_ON, od.SHUTDOWN, "transition 2")
+    drive.become(State.SWITCHED_ON, od.SWITCH_ON, "transition 3")
+    drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
+    drive.client.send(0x700 + _HOST, b"\x05")
+    what = f"heartbeat of node {_HOST:02X}h lost when switched on, 6007h = 1"
+    drive.await_state(State.FAULT, what, "reaction of 6007h", _CONSUMER_MS / 1e3 + STATE_S)
+    drive.write(od.HEARTBEAT_CONSUMER, 0)
+    drive.command(0)
+    drive.become(State.SWITCH_ON_DISABLED, od.FAULT_RESET, "transition 15")
 
 
 def _expect_error_behaviour(drive: Drive) -> None:
