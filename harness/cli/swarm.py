@@ -11,7 +11,6 @@ from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 from functools import partial
-from io import StringIO
 from pathlib import Path
 from typing import Final, final
 
@@ -26,13 +25,22 @@ from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, wi
 from motorhil.harness.swarm.engine import dask, end_workers, local, run_chunk
 from motorhil.harness.swarm.kept import Kept, keep, kept_in, record_of
 from motorhil.harness.swarm.lanes import lane_of
-from motorhil.harness.swarm.plan import FUNCTION, PYTEST, SCRIPT, WALL_S, Plan, Program, plan_of
+from motorhil.harness.swarm.plan import (
+    FUNCTION,
+    PROGRAMS,
+    PYTEST,
+    SCRIPT,
+    WALL_S,
+    Plan,
+    Program,
+    plan_of,
+)
 from motorhil.harness.swarm.report.coverage import coverage_of
 from motorhil.harness.swarm.report.page import write_page
 from motorhil.harness.swarm.report.progress import Progress, Times, progress_in
 from motorhil.harness.swarm.report.sentences import failed
 from motorhil.harness.swarm.report.texts import as_table, counted, lines_of, progress_line
-from motorhil.harness.swarm.results import Results, create, open_results
+from motorhil.harness.swarm.results import Results, create, open_results, require_new
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.summary import Summary, summary_of
 from motorhil.harness.swarm.worlds.disturbance import World
@@ -44,7 +52,8 @@ _PAGE_S: Final = 5.0
 _PAGE_SHARE: Final = 20.0
 """Times as long as writing a page takes, until the next one is written."""
 _EPILOG: Final = """\
-PROGRAM is a script, or "package.module:function", which is called with the open rig. Each seed
+PROGRAM is a script, or "package.module:function", which is called with the open rig; without one,
+the programs of the rig run, and some worlds kill one of them. Each seed
 makes a world of the rig: faults, loads, clocks, plants and turns differ. Oracles judge each run; so
 do the program's exceptions, asserts, and motorhil.always(...). Results are files in DIR: rows, a
 page, and for each cause of failures a fragment, a test and the command that repeats it. With
@@ -56,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `swarm`."""
     parser.epilog = _EPILOG
     parser.usage = (
-        "motorhil swarm [options] RIG PROGRAM [-- ARGS ...]\n"
+        "motorhil swarm [options] RIG [PROGRAM [-- ARGS ...]]\n"
         "       motorhil swarm [options] RIG --pytest NODEID [-- ARGS ...]\n"
         "       motorhil swarm [--json] --show DIR"
     )
@@ -210,9 +219,8 @@ def _program(options: argparse.Namespace) -> Program:
             raise RigError(options.rig, "both PROGRAM and --pytest", "give one of them")
         return Program(PYTEST, options.pytest, words)
     if options.program is None:
-        if programs := describe(options.rig).programs:
-            what = f"its programs ({', '.join(programs)}) cannot share the time of a swarm's worlds"
-            raise RigError(options.rig, what, "name one program, or a function with their parts")
+        if describe(options.rig).programs:
+            return Program(PROGRAMS, str(options.rig))
         raise RigError(options.rig, "no program to run", "name a script, or --pytest NODEID")
     name = options.program
     if Path(name).is_file():
@@ -226,10 +234,9 @@ def _begun(options: argparse.Namespace, program: Program) -> tuple[Plan, Results
     """Return the plan and its results, new or resumed."""
     plan = plan_of(options.rig, program, tuple(options.only), options.timeout)
     if not options.resume:
-        folder = options.output
-        with redirect_stdout(StringIO()):  # of the program; results are ours
-            plan = with_profile(plan)
-        return plan, create(folder, plan)
+        require_new(options.output)
+        plan = with_profile(plan)
+        return plan, create(options.output, plan)
     earlier, results = open_results(options.output)
     for key in ("build", "contents", "oracles", "program"):
         if getattr(earlier, key) != getattr(plan, key):

@@ -163,6 +163,7 @@ def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
             for one in processes.values():
                 one.drain()
             raise RigError(rig.description.source.path, str(error)) from None
+        _schedule_kills(rig, processes)
         try:
             rig.runtime.wait_for_parties(clock.are_gone)
         except KeyboardInterrupt:
@@ -176,11 +177,24 @@ def run_programs(rig: "Rig", tell: Callable[[str], None]) -> dict[str, str]:
                 one.end()
         _await_ends(processes.values(), time.monotonic() + _GRACE_S)
         wrong: dict[str, str] = {}
+        killed = [name for name, _ in rig.description.world.kills]
         for name, one in processes.items():
-            reason = _failure(one, one.status(), clock.left.get(name, ""))
-            if reason:
+            status = one.status()
+            reason = _failure(one, status, clock.left.get(name, ""))
+            if reason and not (status == -signal.SIGKILL and name in killed):
                 wrong[name] = reason
         return wrong
+
+
+def _schedule_kills(rig: "Rig", processes: Mapping[str, _Process]) -> None:
+    """Kill programs when the rig's world says so; each has left when time goes on."""
+    for name, at_ns in rig.description.world.kills:
+
+        def kill(now_ns: int, one: _Process = processes[name]) -> None:
+            one.end()
+            one.await_end()
+
+        rig.runtime.queue.alarm(kill).set(at_ns)
 
 
 def _failure(one: _Process, status: int, reason: str) -> str:

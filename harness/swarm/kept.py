@@ -10,7 +10,7 @@ from textwrap import wrap
 from typing import Final, final
 
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.swarm.plan import FUNCTION, PYTEST, Plan, Program
+from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, Plan, Program
 from motorhil.harness.swarm.report.sentences import story
 from motorhil.harness.swarm.row import Row, row_from
 from motorhil.harness.swarm.worlds.disturbance import fragment
@@ -111,7 +111,9 @@ def command(row: Row, plan: Plan, world: Path) -> str:
     """Return the command that repeats a failure."""
     options = ["--seed", str(abs(row.seed)), "--world", str(world)]
     program = plan.program
-    if program.kind == PYTEST:
+    if program.kind == PROGRAMS:
+        words = ["motorhil", "run", plan.rig, *options]
+    elif program.kind == PYTEST:
         words = ["pytest", program.name, "--rig", plan.rig, *options, *program.words]
     elif program.kind == FUNCTION:
         words = ["motorhil", "swarm", plan.rig, program.name, *options]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 SCRIPT: Final = "script"
 FUNCTION: Final = "function"
 PYTEST: Final = "pytest"
+PROGRAMS: Final = "programs"
 _END_S: Final = 60.0
 _END_FACTOR: Final = 10
 WALL_S: Final = 60.0
@@ -35,8 +36,8 @@ class Program:
     """The application of a campaign.
 
     Attributes:
-        kind: SCRIPT, FUNCTION or PYTEST.
-        name: a file, "package.module:function", or a node id of pytest.
+        kind: SCRIPT, FUNCTION, PYTEST, or PROGRAMS for those of the rig.
+        name: a file, "package.module:function", a node id of pytest, or the rig file.
         words: arguments of a script or of pytest.
     """
 

@@ -82,14 +82,19 @@ class Results:
                 del self._lanes[number]
 
 
+def require_new(folder: Path) -> None:
+    """Raise RigError if the folder has the results of a campaign."""
+    if (folder / PLAN).exists():
+        raise RigError(folder, "has results already", "add --resume, or name another folder: -o")
+
+
 def create(folder: Path, plan: Plan) -> Results:
     """Return an empty folder of a campaign.
 
     Raises:
         RigError: it has results already, or cannot be written.
     """
-    if (folder / PLAN).exists():
-        raise RigError(folder, "has results already", "add --resume, or name another folder: -o")
+    require_new(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / PLAN).write_text(json.dumps(plan.as_table(), indent=1) + "\n")

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -32,7 +33,7 @@ from motorhil.harness.rig.script import (
 )
 from motorhil.harness.swarm import properties
 from motorhil.harness.swarm.child import call_forked
-from motorhil.harness.swarm.plan import FUNCTION, PYTEST, Plan
+from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, Plan
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.worlds.disturbance import World, fragment
 from motorhil.harness.swarm.worlds.fairness import fair, fair_in
@@ -47,6 +48,8 @@ _SUFFIX: Final = ".mcap"
 _RECORD: Final = f"run{_SUFFIX}"
 _WARM_S: Final = 0.1
 _LATE: Final = "still runs"
+_RAISED: Final = re.compile(r"(?:[\w.]+\.)?(\w+)(?::|$)")
+"""The last line of a traceback."""
 _PYTEST: Final = f"{os.sep}_pytest{os.sep}"
 
 
@@ -311,7 +314,10 @@ class _Trial:
 
     def _run_program(self, rig: Rig) -> None:
         program = self._plan.program
-        if program.kind == FUNCTION:
+        status = 0
+        if program.kind == PROGRAMS:
+            self._run_programs(rig)
+        elif program.kind == FUNCTION:
             status = self._call(program.name, rig)
         else:
             script = read_script(program.name)
@@ -319,6 +325,28 @@ class _Trial:
         if status and not self._runs[-1].failures and not self._ended_by:
             text = f"exit status {status}; expected 0"
             failure = Failure(rig.runtime.now_ns(), "exit", text, "", text)
+            self._runs[-1].failures.append(failure)
+
+    def _run_programs(self, rig: Rig) -> None:
+        """Run the programs of the rig; each that ends badly is a failure, or an allowed error."""
+        from motorhil.harness.shared_time.programs import run_programs
+
+        last: dict[str, str] = {}
+
+        def tell(line: str) -> None:
+            name, _, text = line.partition(": ")
+            last[name] = text or last.get(name, "")
+
+        swarm = rig.description.world.swarm
+        is_disturbed = bool(self._world or self._file)
+        for name, reason in run_programs(rig, tell).items():
+            raised = _RAISED.match(last.get(name, ""))
+            if is_disturbed and raised is not None and raised[1] in swarm.allowed_errors:
+                self._ended_by = self._ended_by or raised[1]
+                continue
+            rule = raised[1] if raised is not None else reason
+            text = f"program {name}: {reason}: {last.get(name, '')}".rstrip(": ")
+            failure = Failure(rig.runtime.now_ns(), "exit", rule, name, text)
             self._runs[-1].failures.append(failure)
 
     def _run_tests(self, passing: Path, world: Path | None) -> None:

@@ -3,6 +3,7 @@
 `[[fault]]` tables for Modbus lines: faults of transmitted characters.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, final
@@ -38,6 +39,7 @@ from motorhil.settings import (
 )
 
 HOST: Final = INTERFACE  # name of the application's ports on every bus
+_FURTHER_HOST: Final = re.compile(rf"{HOST}-[2-9][0-9]*|{HOST}-1[0-9]+")
 KINDS: Final = tuple(kind.value for kind in FaultKind)
 LINE_FAULT_KINDS: Final = tuple(kind.value for kind in SerialFaultKind)
 _ON_TCP: Final = ("lose", "delay", "truncate", "pause")
@@ -90,7 +92,10 @@ class FaultTable(FaultBusTable):
     identifier_mask: int = whole(EFF_MASK, 0, EFF_MASK, "", "Bits of it that matter.")
     extended: bool = flag(False, "The identifier has 29 bits.")
     sender: str | None = text(
-        None, 'Frames of this controller, or of the "host"; absent: of all.', example='"left"'
+        None,
+        'Frames of this controller, of the "host", or of its second connection, "host-2"; absent:'
+        " of all.",
+        example='"left"',
     )
     nodes: tuple[str, ...] = setting(
         (), Items(Text(), least=1, shown='["left"]'), "Nodes that the fault concerns; absent: all."
@@ -314,7 +319,7 @@ def _fault(
     own = table.read(FaultTable)
     name = own.name or f"fault {index}"
     ports = (HOST, *controllers[own.bus], *bus.silent)
-    if own.sender is not None:
+    if own.sender is not None and not _FURTHER_HOST.fullmatch(own.sender):
         table.require("sender", own.sender, ports, "controller")
     for place, node in enumerate(own.nodes):
         table.require("nodes", node, ports, "controller", place)

@@ -48,6 +48,7 @@ WEIGHTS: Final[Mapping[str, float]] = {
     "clock": 1.0,
     "plant": 1.0,
     "interleaving": 1.0,
+    "kill": 1.0,
 }
 """Kinds of disturbances, and how often each is drawn."""
 ALLOWED_ERRORS: Final = (
@@ -85,8 +86,17 @@ class ChangeTable:
 
 @final
 @dataclass(frozen=True, kw_only=True)
+class KillTable:
+    """A program that is killed, as by `kill -9`."""
+
+    program: str = text(REQUIRED, "The program, [program.NAME].", example='"driver"')
+    at_s: float = number(REQUIRED, 0.0, 1e9, "s", "When, in the rig's time.", example="1.5")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
 class WorldTable:
-    """A world: changed settings, and the order of parties."""
+    """A world: changed settings, the order of parties, and the death of programs."""
 
     interleaving: int | None = whole(
         None,
@@ -99,6 +109,9 @@ class WorldTable:
     )
     change: tuple[ChangeTable, ...] = setting(
         (), Items(TableOf(ChangeTable), unique=False), "Changed settings of controllers."
+    )
+    kill: tuple[KillTable, ...] = setting(
+        (), Items(TableOf(KillTable), unique=False), "Programs of the rig that are killed."
     )
 
 
@@ -160,10 +173,12 @@ class WorldDescription:
     Attributes:
         interleaving: seed of the order of parties at one instant; None: the usual order.
         swarm: how worlds are drawn and judged.
+        kills: programs that are killed, and when [ns].
     """
 
     interleaving: int | None = None
     swarm: SwarmTable = UNDECLARED
+    kills: tuple[tuple[str, int], ...] = ()
 
 
 UNDISTURBED: Final = WorldDescription()
@@ -176,8 +191,13 @@ def read_world(root: Table) -> WorldDescription:
     Raises:
         RigError: the first error in the tables.
     """
-    world = root.table("world").read(WorldTable)
-    return WorldDescription(world.interleaving, root.table("swarm").read(SwarmTable))
+    table = root.table("world")
+    world = table.read(WorldTable)
+    programs = list(root.table("program").values)
+    for one in table.listed_tables("kill"):
+        one.require("program", one.read(KillTable).program, programs)
+    kills = tuple((one.program, round(one.at_s * 1e9)) for one in world.kill)
+    return WorldDescription(world.interleaving, root.table("swarm").read(SwarmTable), kills)
 
 
 def changed(root: Table) -> Table:

@@ -142,5 +142,6 @@ _SENTENCES: Final[Mapping[str, Callable[[Disturbance], str]]] = {
     "quirk": lambda one: f"{one.on} has the quirk {one.get('name')}",
     "clock": _clock,
     "plant": lambda one: f"{one.get('key')} of {one.on} is {one.number('value'):g}",
+    "kill": lambda one: f"program {one.on} is killed at {one.number('at_s'):.7g} s",
     "interleaving": lambda one: f"the parties take turns by seed {one.get('seed')}",
 }

@@ -167,4 +167,5 @@ _WRITERS: Final[Mapping[str, Callable[[Disturbance, str], _Tables]]] = {
     "clock": lambda one, _: _change(one, "oscillator.ppm", one.number("ppm")),
     "plant": lambda one, _: _change(one, f"plant.{one.get('key')}", one.number("value")),
     "interleaving": lambda one, _: [],
+    "kill": lambda one, _: [("world.kill", [("program", one.on), ("at_s", one.number("at_s"))])],
 }

@@ -32,7 +32,7 @@ _AGAIN: Final = 0.5
 _MARKED: Final = 0.5
 _SOON_S: Final = 0.5
 """A program recovers from a disturbance in about this time."""
-_ONCE: Final = ("interleaving", "quirk", "clock")
+_ONCE: Final = ("interleaving", "quirk", "clock", "kill")
 """Kinds of which one place has at most one."""
 _Draw = Callable[[Random, Profile, SwarmTable], Disturbance | None]
 
@@ -344,6 +344,13 @@ def _interleaving(random: Random, profile: Profile, table: SwarmTable) -> Distur
     return Disturbance("interleaving", "", (("seed", random.randrange(1_000)),))
 
 
+def _kill(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | None:
+    if not profile.programs:
+        return None
+    at_s = ("at_s", _moment(random, profile))
+    return Disturbance("kill", random.choice(profile.programs), (at_s,))
+
+
 def _delay_s(random: Random, table: SwarmTable) -> float:
     return _log_uniform(random, min(1e-4, table.delay_s), table.delay_s)
 
@@ -368,6 +375,7 @@ _DRAWS: Final[Mapping[str, _Draw]] = {
     "clock": _clock,
     "plant": _plant,
     "interleaving": _interleaving,
+    "kill": _kill,
 }
 assert list(_DRAWS) == list(WEIGHTS)
 

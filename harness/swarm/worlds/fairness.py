@@ -21,7 +21,7 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     "arrival-true": (*_PUSHED, "quirk"),
     **dict.fromkeys(("mode-signs", "errors-listed", "pds-legal"), ("quirk",)),
     **dict.fromkeys(("sdo-answered", "sdo-refusals"), (*_LOST, "quirk")),
-    **dict.fromkeys(("heartbeat-kept", "no-reboot"), (*_LOST, "quirk", "clock")),
+    **dict.fromkeys(("heartbeat-kept", "no-reboot"), (*_LOST, "quirk", "clock", "kill")),
     **dict.fromkeys(("drive-answered", "one-drive"), (*_LOST, "quirk")),
     "sync-period": (*_LOST, *_PUSHED, "quirk", "clock"),
     **dict.fromkeys(("tpdo-times", "error-states", "fault-told"), (*_LOST, "quirk", "clock")),

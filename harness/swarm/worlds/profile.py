@@ -90,6 +90,7 @@ class Profile:
         traffic: who sends what, in order of the first time.
         subjects: controllers, in the order of the rig.
         parties: True if several parties take turns.
+        programs: programs of the rig that share its time, which can be killed.
         soon_after_s: draw times soon after this one [s]; None: anywhere.
     """
 
@@ -98,6 +99,7 @@ class Profile:
     traffic: tuple[Traffic, ...]
     subjects: tuple[Subject, ...]
     parties: bool
+    programs: tuple[str, ...] = ()
     soon_after_s: float | None = None
 
     def as_table(self) -> dict[str, object]:
@@ -126,6 +128,7 @@ def profile_from(table: Mapping[str, Any]) -> Profile:
             for one in table["subjects"]
         ),
         table["parties"],
+        tuple(table["programs"]),
     )
 
 
@@ -149,6 +152,7 @@ class Profiler:
             tuple(self._traffic(*key) for key in self._heard),
             subjects_of(description),
             self._rig.runtime.had_parties(),
+            tuple(one.name for one in description.programs.values() if one.joins),
         )
 
     def _traffic(self, bus: str, sender: str, identifier: int | None) -> Traffic:

@@ -237,14 +237,6 @@ def test_program_that_fails_undisturbed_is_refused_unheard(folder):
     assert not (folder / "out").exists()
 
 
-def test_rig_of_several_programs_is_refused(folder):
-    with (folder / "rig.toml").open("a") as file:
-        file.write('[program.one]\ncommand = ["python", "one.py"]\n')
-    refused = in_another_process("swarm", "rig.toml")
-    assert refused.returncode == 2
-    assert "its programs (one) cannot share the time" in refused.stderr
-
-
 def test_shrinking_outlives_its_worker(folder):
     request = {"try": 3, "world": []}
     table = plan("deadly").as_table()

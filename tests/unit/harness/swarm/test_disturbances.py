@@ -1,6 +1,7 @@
 """Disturbances as values and as TOML."""
 
 import tomllib
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -29,6 +30,7 @@ PROFILE = Profile(
 )
 _ON_LINES = {"lose", "truncate"}
 _WITH_SOURCE_RESISTANCE = {"supply"}
+_WITH_PROGRAMS = {"kill"}
 
 
 def worlds(count):
@@ -63,6 +65,22 @@ def test_a_load_begins_and_ends():
     assert {one["name"] for one in stimuli} == {"load_torque_n_m"}
 
 
+def test_a_killed_program_is_a_table_of_the_world():
+    kill = Disturbance("kill", "driver", (("at_s", 1.5),))
+    assert tomllib.loads(fragment((kill,))) == {
+        "world": {"kill": [{"program": "driver", "at_s": 1.5}]}
+    }
+
+
+def test_programs_that_share_the_time_are_killed():
+    with_programs = replace(PROFILE, programs=("driver", "watcher"))
+    worlds = [drawn(Random(seed), with_programs, UNDECLARED) for seed in range(200)]
+    assert {one.on for world in worlds for one in world if one.kind == "kill"} == {
+        "driver",
+        "watcher",
+    }
+
+
 def test_an_identifier_of_29_bits_is_marked_as_one():
     one = Disturbance("drop", "can0", (("sender", "host"), ("identifier", 0x901)))
     assert tomllib.loads(fragment((one,)))["fault"][0]["extended"] is True
@@ -83,7 +101,7 @@ def test_every_drawn_world_is_a_rig_that_opens():
 
 def test_worlds_meet_every_kind_that_the_rig_can_have():
     met = {one.kind for world in worlds(400) for one in world}
-    assert set(WEIGHTS) - met == _ON_LINES | _WITH_SOURCE_RESISTANCE | {"corrupt"}
+    assert set(WEIGHTS) - met == _ON_LINES | _WITH_SOURCE_RESISTANCE | _WITH_PROGRAMS | {"corrupt"}
 
 
 def test_one_seed_draws_one_world():

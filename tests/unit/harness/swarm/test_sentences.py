@@ -63,6 +63,7 @@ SENTENCES = [
         "load_inertia_kg_m2 of left is 0.05",
     ),
     ("interleaving", "", {"seed": 3}, "the parties take turns by seed 3"),
+    ("kill", "driver", {"at_s": 1.5}, "program driver is killed at 1.5 s"),
 ]
 
 
