@@ -45,7 +45,7 @@ from motorhil.harness.conformance.verdicts.causes import (
     more_of,
     told_in_full,
 )
-from motorhil.harness.conformance.verdicts.picture import STYLE, picture_of
+from motorhil.harness.report.picture import STYLE, picture_of
 from motorhil.harness.rig.config.conformance import Capability
 
 _NS: Final = 1e9

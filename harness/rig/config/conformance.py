@@ -130,6 +130,9 @@ class ConformanceTable:
     borne_s: float | None = _time(
         None, "Silence of a drive in a motion that its host bears; absent: not known."
     )
+    repeats_stops: bool = flag(
+        False, "A stop comes to rest although one of its frames is lost; false: not known."
+    )
     deadline_s: float = _time(30.0, "Deadline of one clause, in wall time.")
     fault_stimulus: str = text("fault", "Stimulus that causes a controller fault.")
     fault_code: int = whole(0x2310, 1, 0xFFFF_FFFF, "", "Error code of that fault.")
@@ -201,6 +204,7 @@ class Facts:
         brake_s: the time to rest after that, from any motion [s]; None: derived from the model.
         lost_s: within which a host reports that a drive has stopped answering [s].
         borne_s: the silence of a drive in a motion that its host bears [s]; None: not known.
+        repeats_stops: True if the host repeats a stop that the drive has not obeyed.
         deadline_s: the deadline for one clause [s of wall time].
         fault_stimulus: the stimulus that causes a controller fault.
         fault_code: the error code that the drive then reports.
@@ -226,6 +230,7 @@ class Facts:
     brake_s: float | None = None
     lost_s: float = 1.0
     borne_s: float | None = None
+    repeats_stops: bool = False
     deadline_s: float = 30.0
     fault_stimulus: str = "fault"
     fault_code: int = 0x2310
@@ -274,6 +279,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         brake_s=own.brake_s,
         lost_s=own.lost_s,
         borne_s=own.borne_s,
+        repeats_stops=own.repeats_stops,
         deadline_s=own.deadline_s,
         fault_stimulus=own.fault_stimulus,
         fault_code=own.fault_code,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from motorhil.harness.conformance.verdicts import picture
+from motorhil.harness.report import picture
 from motorhil.harness.rig.config.toml import RigError, one_line
 from motorhil.harness.swarm.kept import Kept, command
 from motorhil.harness.swarm.plan import Plan

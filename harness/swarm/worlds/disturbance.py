@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Final, final
 
 Value = str | int | float
-World = tuple["Disturbance", ...]
 FRAME_KINDS: Final = ("drop", "delay", "duplicate", "corrupt", "error", "lose", "truncate")
 """Kinds that act on single frames, or transmissions on a line."""
 INPUTS: Final[Mapping[str, tuple[str, float]]] = {
@@ -55,6 +54,9 @@ class Disturbance:
     def as_table(self) -> list[object]:
         """Return it for JSON."""
         return [self.kind, self.on, dict(self.values)]
+
+
+World = tuple[Disturbance, ...]
 
 
 def from_table(table: Sequence[object]) -> Disturbance:

@@ -19,6 +19,7 @@ from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.commands import Setpoint
 from motorhil.motorapi.errors import DeadlineExceeded, DeviceFault, LinkError
 from motorhil.motorapi.logical_motor import LogicalMotor
+from motorhil.motorapi.ownership.physical_motor import PhysicalMotor
 from tests.conformance.mutants import mutant, replaced
 
 PREPARATION = (0x06, 0x07, 0x0F)  # CiA 402-2: to operation enabled
@@ -314,7 +315,10 @@ def a_status_that_stays_away_is_awaited():
 @mutant("software", "LOST-12")
 def unnoticed_failure_is_forgotten():
     """A motion that failed while no caller waited goes on after the drive was set up again."""
-    with replaced(LogicalMotor, "_bury_failed_run", lambda _: lambda self: None):
+    with (
+        replaced(LogicalMotor, "_bury_failed_run", lambda _: lambda self: None),
+        replaced(PhysicalMotor, "fail", lambda _: lambda self, error, now_ns: None),
+    ):
         yield
 
 

@@ -408,7 +408,10 @@ def settings_of_other_programs_are_not_noticed():
 @mutant("robstride", "PROC-09")
 def a_set_point_that_is_repeated_after_a_takeover():
     """A program that has lost its motor goes on with the set-point that it repeats."""
-    with replaced(StreamedCanHardware, "_see_ownership", lambda _: lambda hardware, event: None):
+    with (
+        replaced(StreamedCanHardware, "_see_ownership", lambda _: lambda hardware, event: None),
+        replaced(MitHwMotor, "_is_taken", lambda _: lambda hardware: False),
+    ):
         yield
 
 
