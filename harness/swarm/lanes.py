@@ -34,8 +34,8 @@ class Lane:
     """
 
     def __init__(self, seen: Iterable[str] = (), corpus: Iterable[World] = ()) -> None:
-        self.seen = dict.fromkeys(seen)
-        self.corpus = list(corpus)[-_CORPUS_MAX:]
+        self.seen: dict[str, None] = dict.fromkeys(seen)
+        self.corpus: list[World] = list(corpus)[-_CORPUS_MAX:]
 
     def learn(self, row: Row) -> None:
         """Take the result of the lane's next world."""
