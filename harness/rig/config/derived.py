@@ -27,8 +27,8 @@ from motorhil.harness.rig.config.rig_file import (
     ControllerDescription,
     MotorDescription,
     RigDescription,
-    replaced,
 )
+from motorhil.harness.rig.config.toml import replaced
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.settings import KeyPath, dotted, flag, read
 

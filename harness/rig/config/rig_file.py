@@ -48,6 +48,7 @@ from motorhil.harness.rig.config.toml import (
     Table,
     one_line,
     read_source,
+    replaced,
 )
 from motorhil.harness.rig.config.worlds import (
     UNDISTURBED,
@@ -402,16 +403,6 @@ def _plants(table: Table) -> list[Table]:
             if isinstance(value, dict)
         ]
     return plants
-
-
-def replaced(
-    settings: Mapping[str, object], path: KeyPath, value: Mapping[str, object]
-) -> dict[str, object]:
-    """Return the settings with another value at `path`."""
-    key, *rest = path
-    inner = settings.get(str(key), {})
-    assert isinstance(inner, Mapping)
-    return {**settings, str(key): replaced(inner, tuple(rest), value) if rest else value}
 
 
 def _motor(

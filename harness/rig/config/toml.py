@@ -210,6 +210,19 @@ def with_table(text: str, table: str, lines: str, without: Collection[str]) -> s
     return before + head + lines + "".join(kept) + behind
 
 
+def replaced(settings: Mapping[str, object], path: KeyPath, value: object) -> dict[str, object]:
+    """Return the settings with another value at `path`.
+
+    Raises:
+        SettingError: the path leads through a value that is no table.
+    """
+    key, *rest = path
+    if not rest:
+        return {**settings, str(key): value}
+    inner = as_table(settings.get(str(key), {}), (key,))
+    return {**settings, str(key): replaced(inner, tuple(rest), value)}
+
+
 def a_kind_of(value: object) -> str:
     """Return Python's word for it, with its article: "None", "the class Motor", "a 'str'"."""
     if value is None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from motorhil.harness.rig.config.toml import SEED_MAX, Table
+from motorhil.harness.rig.config.toml import SEED_MAX, Table, replaced
 from motorhil.settings import (
     REQUIRED,
     Items,
@@ -217,19 +217,10 @@ def changed(root: Table) -> Table:
         path = ("controller", own.controller, *own.key.split("."))
         if not all(path) or path[-1] in ("kind", "bus", "node_id", "unit"):
             raise table.error("key", f'"{own.key}" cannot be changed', "name another setting")
-        values = _with(values, path, own.value, table)
+        try:
+            values = replaced(values, path, own.value)
+        except SettingError as error:
+            what = f'"{error.path[-1]}" is not a table'
+            raise table.error("key", what, "name a setting") from None
         root.source.redirect(path, (*table.path, "value"))
     return Table(root.source, root.path, values)
-
-
-def _with(
-    values: Mapping[str, object], path: tuple[str, ...], value: object, table: Table
-) -> dict[str, object]:
-    """Return the values with another one at the path."""
-    key, *rest = path
-    if not rest:
-        return {**values, key: value}
-    inner = values.get(key, {})
-    if not isinstance(inner, Mapping):
-        raise table.error("key", f'"{key}" is not a table', "name a setting")
-    return {**values, key: _with(inner, tuple(rest), value, table)}
