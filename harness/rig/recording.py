@@ -65,6 +65,15 @@ def files_of(description: "RigDescription") -> list[tuple[str, str, bytes]]:
     return files + [one for one in description.attached if one[0] not in names]
 
 
+def digest_of(files: Iterable[tuple[str, str, bytes]], more: bytes = b"") -> str:
+    """Return the SHA-256 (hex) of files as `files_of` returns them, and of what else counts."""
+    digest = hashlib.sha256()
+    for name, _, data in files:
+        digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    digest.update(more)
+    return digest.hexdigest()
+
+
 def _contents(paths: Iterable[tuple[object, str]]) -> list[tuple[str, str, bytes]]:
     seen: list[Path] = []
     files: list[tuple[str, str, bytes]] = []
@@ -97,10 +106,7 @@ def start_recording(
         TraceError: the file cannot be written.
     """
     files = files_of(description)
-    digest = hashlib.sha256()
-    for name, _, data in files:
-        digest.update(f"{name}\0{len(data)}\0".encode() + data)
-    metadata = run_metadata(seed=seed, rig_digest=digest.hexdigest(), command_line=sys.argv)
+    metadata = run_metadata(seed=seed, rig_digest=digest_of(files), command_line=sys.argv)
     writer = TraceWriter(target, metadata)
     try:
         for name, media_type, data in files:

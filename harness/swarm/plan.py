@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from motorhil.harness.rig.recording import files_of
+from motorhil.harness.rig.recording import digest_of, files_of
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 from motorhil.harness.version import source_digest, version
@@ -135,8 +135,4 @@ def build() -> str:
 
 def contents_of(rig: Path, program: Program) -> str:
     """Return the digest of the rig, the files that it names, and the program."""
-    digest = hashlib.sha256()
-    for name, _, data in files_of(describe(rig)):
-        digest.update(f"{name}\0{len(data)}\0".encode() + data)
-    digest.update(program.contents())
-    return digest.hexdigest()[:16]
+    return digest_of(files_of(describe(rig)), program.contents())[:16]
