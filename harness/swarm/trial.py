@@ -17,7 +17,7 @@ from typing import Final, final
 
 from motorhil.harness.oracles.base import Verdict, Violation
 from motorhil.harness.oracles.facts import Facts, subjects_in
-from motorhil.harness.oracles.judge import IDS, judge
+from motorhil.harness.oracles.judge import judge
 from motorhil.harness.oracles.limits import VelocityLimit
 from motorhil.harness.rig.config.rig_file import Known, RigDescription, read_rig
 from motorhil.harness.rig.config.toml import RigError
@@ -472,8 +472,3 @@ def _signature(failure: Failure, observer: Observer | None) -> str:
     state = "-" if event is None else event.state
     last = "undisturbed" if event is None else event.what
     return " | ".join((failure.oracle, failure.rule, failure.role or "-", state, last))
-
-
-def oracles_known(names: Sequence[str]) -> list[str]:
-    """Return those names that are no oracle's."""
-    return [name for name in names if name not in IDS]

@@ -6,7 +6,7 @@ disturbance often accompanies an earlier one: it concerns the same controller, s
 the program recovers. A mutation does so even more often.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import exp, log
 from random import Random
@@ -378,15 +378,6 @@ _DRAWS: Final[Mapping[str, _Draw]] = {
     "kill": _kill,
 }
 assert list(_DRAWS) == list(WEIGHTS)
-
-
-def kinds_of(worlds: Sequence[World]) -> dict[str, int]:
-    """Return how many disturbances of each kind some worlds have."""
-    counts: dict[str, int] = {}
-    for world in worlds:
-        for one in world:
-            counts[one.kind] = counts.get(one.kind, 0) + 1
-    return counts
 
 
 _TRIES: Final = 20
