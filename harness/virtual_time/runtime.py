@@ -302,6 +302,7 @@ class VirtualRuntime:
 
     def enrol(self, party: VirtualParty) -> None:
         """Give the party a turn at the next wait of this one; its thread is in `run_party`."""
+        self._had_parties = True
         self._line_up(Waiter(party, _at_once, _NEVER))
 
     def wait_elsewhere(
@@ -311,6 +312,7 @@ class VirtualRuntime:
 
         `deadline_ns` is -1 without a timeout. Returns the wait, which `take_turn` is called with.
         """
+        self._had_parties = True
         waiter = Waiter(party, done, deadline_ns, on_parties)
         self._line_up(waiter)
         return waiter
@@ -428,7 +430,7 @@ class VirtualRuntime:
                 raise party.error
 
     def had_parties(self) -> bool:
-        """Return True if a second party has ever waited for its turn."""
+        """Return True if a second party has ever been given turns."""
         return self._had_parties
 
     def interleave(self, draw: Callable[[int], int]) -> None:
@@ -439,7 +441,6 @@ class VirtualRuntime:
 
     def _line_up(self, waiter: Waiter) -> None:
         """Add a wait behind all others, or at a drawn place among them."""
-        self._had_parties = self._had_parties or bool(self._waiters)
         if self._draw is None or not self._waiters:
             self._waiters.append(waiter)
         else:
