@@ -15,6 +15,7 @@ from motorhil.harness.cli.options import (
     add_descriptions,
     add_eds,
     add_max_memory,
+    add_only,
     attachments_of,
     print_table,
 )
@@ -22,7 +23,7 @@ from motorhil.harness.cli.printable import has_colours, teller
 from motorhil.harness.cli.times import add_span, span_in, span_of
 from motorhil.harness.oracles.base import Finding, Verdict
 from motorhil.harness.oracles.facts import Facts, read_limits, read_rig
-from motorhil.harness.oracles.judge import CATALOGUE, IDS, is_sound, judge
+from motorhil.harness.oracles.judge import CATALOGUE, is_sound, judge
 from motorhil.harness.oracles.seen import Seen
 from motorhil.harness.recording.decoders import description_for, messages_at
 from motorhil.traces.decoding.narrative import Describe
@@ -42,14 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--list", action="store_true", help="print the promises of the oracles, and their sources"
     )
-    parser.add_argument(
-        "--only",
-        action="append",
-        choices=IDS,
-        default=[],
-        metavar="ID",
-        help="only this oracle; may be repeated",
-    )
+    add_only(parser)
     parser.add_argument(
         "--limits",
         type=Path,

@@ -210,6 +210,20 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, metavar="N", help="overrides the rig's own seed")
 
 
+def add_only(parser: argparse.ArgumentParser) -> None:
+    """Add `--only ID`, oracles by their ids; an empty list by default."""
+    from motorhil.harness.oracles.judge import IDS
+
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=IDS,
+        default=[],
+        metavar="ID",
+        help="only this oracle; may be repeated",
+    )
+
+
 def seed(text: str) -> int:
     """Read a seed, for argparse's `type`.
 

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Final, final
 
 from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED, WRONG_USAGE
-from motorhil.harness.cli.options import add_seed, real, whole
+from motorhil.harness.cli.options import add_only, add_seed, real, whole
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine
-from motorhil.harness.oracles.judge import IDS
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
@@ -36,7 +35,7 @@ from motorhil.harness.swarm.plan import (
     plan_of,
 )
 from motorhil.harness.swarm.report.coverage import coverage_of
-from motorhil.harness.swarm.report.page import write_page
+from motorhil.harness.swarm.report.page import page_of, write_page
 from motorhil.harness.swarm.report.progress import Progress, Times, progress_in
 from motorhil.harness.swarm.report.sentences import failed
 from motorhil.harness.swarm.report.texts import as_table, counted, lines_of, progress_line
@@ -74,14 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pytest", metavar="NODEID", help="a test or a file of tests instead")
     _add_seeds(parser)
     _add_engine(parser)
-    parser.add_argument(
-        "--only",
-        action="append",
-        choices=IDS,
-        default=[],
-        metavar="ID",
-        help="only this oracle; may be repeated",
-    )
+    add_only(parser)
     parser.add_argument("--world", type=Path, metavar="FILE", help="run only this fragment")
     add_seed(parser)
     parser.add_argument(
@@ -409,5 +401,5 @@ def _page(
     """Write the page; return its file, and the findings in it."""
     folder = results.folder
     summary, progress = summary_of(results.rows.values()), progress_in(folder)
-    page = write_page(folder, plan, summary, kept, progress, time.time(), is_running=is_running)
-    return page, summary, progress
+    text = page_of(folder, plan, summary, kept, progress, time.time(), is_running=is_running)
+    return write_page(folder, text), summary, progress

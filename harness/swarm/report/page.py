@@ -46,31 +46,12 @@ figcaption { color: var(--soft) } .bad { color: var(--fault); font-weight: 600 }
 """
 
 
-def write_page(
-    folder: Path,
-    plan: Plan,
-    summary: Summary,
-    kept: Sequence[Kept],
-    progress: Progress,
-    now_s: float,
-    *,
-    is_running: bool = False,
-) -> Path:
+def write_page(folder: Path, text: str) -> Path:
     """Write the page of a campaign, and return its file; a reader never sees half of it.
-
-    Args:
-        folder: the folder of the campaign.
-        plan: its plan.
-        summary: its findings.
-        kept: its kept failures, so far.
-        progress: its times.
-        now_s: now [s of the Unix epoch].
-        is_running: whether the page will be written again.
 
     Raises:
         RigError: it cannot be written.
     """
-    text = page_of(folder, plan, summary, kept, progress, now_s, is_running=is_running)
     passing, path = folder / f"{NAME}.{os.getpid()}.new", folder / NAME
     try:
         passing.write_text(text, encoding="utf-8")
@@ -90,7 +71,17 @@ def page_of(
     *,
     is_running: bool = False,
 ) -> str:
-    """Return the page; arguments as of `write_page`."""
+    """Return the page of a campaign.
+
+    Args:
+        folder: the folder of the campaign.
+        plan: its plan.
+        summary: its findings.
+        kept: its kept failures, so far.
+        progress: its times.
+        now_s: now [s of the Unix epoch].
+        is_running: whether the page will be written again.
+    """
     coverage = coverage_of(plan, summary)
     style = (files("motorhil.harness.report") / "template" / "page.css").read_text("utf-8")
     style += picture.STYLE + _STYLE

@@ -190,8 +190,7 @@ def test_damaged_recording_leaves_the_page_without_picture(tmp_path, content):
 
 
 def test_page_is_written_whole_or_not_at_all(tmp_path):
-    given = PLAN, summary_of(ROWS), [], Progress(), NOW
-    assert write_page(tmp_path, *given) == tmp_path / "index.html"
+    assert write_page(tmp_path, page(tmp_path)) == tmp_path / "index.html"
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
     with pytest.raises(RigError, match=r"index\.html: cannot be written: No such file"):
-        write_page(tmp_path / "gone", *given)
+        write_page(tmp_path / "gone", page(tmp_path))
