@@ -258,8 +258,9 @@ def _outcome(options: argparse.Namespace, job: "Job", supervisor: "Supervisor") 
     first_of: dict[tuple[str, str, str], str] = {}
     first_s = 0.0
     line = StatusLine()
-    pairs = _in_worlds(options.swarm, chosen, supervisor.loaded)
-    if options.swarm is None:
+    if options.swarm is not None:
+        pairs = _in_worlds(options.swarm, chosen, supervisor.loaded)
+    else:
         pairs = _pairs(options.benches, chosen, supervisor.loaded)
     with closing(_findings(options, job, supervisor, pairs)) as found:
         for number, (promise, _) in enumerate(pairs, 1):
@@ -314,12 +315,12 @@ def _workers(options: argparse.Namespace, count: int) -> int:
 
 
 def _in_worlds(
-    count: int | None, chosen: "Sequence[Promise]", loaded: "Loaded"
+    count: int, chosen: "Sequence[Promise]", loaded: "Loaded"
 ) -> "list[tuple[Promise, str]]":
     """Return the clauses to check, each in so many worlds, from that of the seed on."""
     from motorhil.harness.conformance.benches.worlds import world_name
 
-    worlds = [world_name(loaded.seed + number) for number in range(count or 0)]
+    worlds = [world_name(loaded.seed + number) for number in range(count)]
     return [(promise, world) for world in worlds for promise in chosen]
 
 

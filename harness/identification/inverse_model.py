@@ -31,6 +31,7 @@ _DECIMATION_HZ: Final = 100.0
 _EDGE: Final = 50  # samples at each end, which filters spoil
 _SEEN: Final = 0.25
 """Relative standard deviation above which a parameter is not seen."""
+_NOTHING: Final = 0.01  # share of the effort of a parameter that is known to be next to nothing
 _MOVES: Final = 0.02  # of the highest speed: below it the axis rests, as far as friction goes
 
 
@@ -99,7 +100,8 @@ def fitted(samples: Samples) -> Fit:
     parameters = {}
     for number, name in enumerate(NAMES):
         value, deviation = float(values[number]), float(deviations[number])
-        unseen, remedy = _unseen(name, value, deviation, velocity, values, scale, effort)
+        share = abs(value) * float(scale[number]) / float(np.linalg.norm(effort))
+        unseen, remedy = _unseen(name, value, deviation, share, velocity)
         parameters[name] = Parameter(name, value, deviation, unseen, remedy)
     error = float(np.linalg.norm(rest) / np.linalg.norm(effort))
     return Fit(parameters, error, float(np.linalg.cond(scaled)), len(effort))
@@ -137,15 +139,12 @@ def _prepared(
 
 
 def _unseen(
-    name: str,
-    value: float,
-    deviation: float,
-    velocity: "NDArray[float64]",
-    values: "NDArray[float64]",
-    scale: "NDArray[float64]",
-    effort: "NDArray[float64]",
+    name: str, value: float, deviation: float, share: float, velocity: "NDArray[float64]"
 ) -> tuple[str, str]:
-    """Return why a parameter is not seen, and the motion that would show it."""
+    """Return why a parameter is not seen, and the motion that would show it.
+
+    `share` is the part of the effort that it explains.
+    """
     fastest = float(np.max(np.abs(velocity)))
     forwards = np.any(velocity > _MOVES * fastest)
     backwards = np.any(velocity < -_MOVES * fastest)
@@ -154,8 +153,7 @@ def _unseen(
         return why, "move there and back"
     if value and abs(deviation / value) <= _SEEN:
         return "", ""
-    part = abs(float(values[NAMES.index(name)])) * float(scale[NAMES.index(name)])
-    if part <= 0.01 * float(np.linalg.norm(effort)):
+    if share <= _NOTHING:
         return "", ""  # it is known to be next to nothing
     reasons = {
         "inertia": ("the motor hardly accelerates", "accelerate harder, with several ramps"),
