@@ -1,6 +1,7 @@
 """Command lines run by tests, in this process or in another one."""
 
 import os
+import select
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -17,6 +18,18 @@ def in_another_process(*words, **options):
     pipe = subprocess.PIPE
     usual = {"env": environment(), "stdout": pipe, "stderr": pipe, "text": True, "timeout": 120}
     return subprocess.run([sys.executable, "-m", "motorhil", *words], **{**usual, **options})
+
+
+def has_ended(pid):
+    """Wait for the end of a process that is not a child of this one."""
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([descriptor], [], [], 10.0)[0])
+    finally:
+        os.close(descriptor)
 
 
 INTERRUPTIBLE = (

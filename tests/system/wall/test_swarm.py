@@ -1,7 +1,6 @@
 """Campaigns in worker processes: what dies, hangs or stops, and what then is in the results."""
 
 import os
-import select
 import shutil
 import signal
 import subprocess
@@ -18,7 +17,7 @@ from motorhil.harness.swarm.engine import end_workers, local, run_chunk, worker_
 from motorhil.harness.swarm.plan import FUNCTION, Program, plan_of
 from motorhil.harness.swarm.results import create, open_results
 from motorhil.harness.swarm.row import CANARY, Result
-from tests.support.command_line import beside, environment, in_another_process
+from tests.support.command_line import beside, environment, has_ended, in_another_process
 
 pytestmark = pytest.mark.wall
 
@@ -131,18 +130,6 @@ def lines(*folders):
     """Return all rows of some folders, sorted."""
     paths = [path for folder in folders for path in sorted(Path(folder).glob("rows*.jsonl"))]
     return sorted(line for path in paths for line in path.read_text().splitlines())
-
-
-def has_ended(pid):
-    """Wait for the end of a process that is not a child of this one."""
-    try:
-        descriptor = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return True
-    try:
-        return bool(select.select([descriptor], [], [], 10.0)[0])
-    finally:
-        os.close(descriptor)
 
 
 def test_program_does_its_worst_and_costs_only_its_own_world(folder):

@@ -12,21 +12,8 @@ from tests.support.command_line import in_another_process
 
 pytestmark = pytest.mark.wall
 
-RIG = """
-[bus.can0]
-bitrate_bit_s = 1_000_000
-
-[controller.left]
-kind = "cia402"
-bus = "can0"
-node_id = 1
-plant = { preset = "wheel_60w" }
-
-[motor.left]
-adaptation = "cia402"
-controller = "left"
-model = "wheel_model.toml"
-
+RIG = (EXAMPLES / "two_wheels.toml").read_text()
+PROGRAMS = """
 [program.driver]
 command = ["python", "driver.py"]
 
@@ -60,7 +47,7 @@ KINDS = (
 @pytest.fixture
 def cell(tmp_path):
     """Return a folder with a rig of two programs, whose worlds only kill."""
-    (tmp_path / "cell.toml").write_text(RIG + "".join(f"{kind} = 0\n" for kind in KINDS))
+    (tmp_path / "cell.toml").write_text(RIG + PROGRAMS + "".join(f"{kind} = 0\n" for kind in KINDS))
     (tmp_path / "driver.py").write_text(DRIVER)
     (tmp_path / "watcher.py").write_text("import motorhil\nmotorhil.join().runtime.run_for(1.5)\n")
     shutil.copy(EXAMPLES / "wheel_model.toml", tmp_path)

@@ -1,7 +1,6 @@
 """A call in a forked process tells how it ended, and leaves nothing behind."""
 
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -9,6 +8,7 @@ import sys
 import pytest
 
 from motorhil.harness.swarm.child import CLOSED, call_forked
+from tests.support.command_line import has_ended
 
 LATE_S = 0.2  # long enough to begin, for children that never end
 LONG_S = 60.0
@@ -89,18 +89,6 @@ def test_process_that_a_child_leaves_is_ended():
     command = [sys.executable, "-c", "import signal; signal.pause()"]
     ended = call_forked(lambda: str(subprocess.Popen(command).pid), LONG_S)
     assert has_ended(int(ended.text))
-
-
-def has_ended(pid):
-    """Wait for the end of a process that is not a child of this one."""
-    try:
-        descriptor = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return True
-    try:
-        return bool(select.select([descriptor], [], [], 10.0)[0])
-    finally:
-        os.close(descriptor)
 
 
 def test_child_reads_nothing_and_has_no_files_of_its_parent():
