@@ -1,5 +1,6 @@
 """`[world]` and `[swarm]` of a rig, and fragments that are appended to one."""
 
+import can
 import pytest
 
 from motorhil.harness.rig.config.rig_file import read_rig
@@ -70,6 +71,30 @@ def test_a_wrong_value_names_the_change_and_not_the_rig(bench):
     assert f"{bench / 'world.toml'}:4: controller.left.plant.load_inertia_kg_m2" in str(
         caught.value
     )
+
+
+def test_a_fault_strikes_the_second_connection_of_an_application(read):
+    rig = Rig(read(DROP.replace("left", "host-2")), seed=1, doubts=False)
+
+    def connection():
+        return can.Bus(interface="emulated", channel="can0")
+
+    with rig, connection() as first, connection() as second:
+        for number, bus in enumerate((first, second)):
+            bus.send(can.Message(arbitration_id=0x7F0 + number, is_extended_id=False))
+        rig.runtime.run_for(0.01)
+        heard = []
+        for bus in (first, second):
+            frames = iter(lambda bus=bus: bus.recv(timeout=0.0), None)
+            heard.append([one.arbitration_id for one in frames if one.arbitration_id >= 0x7F0])
+        assert heard == [[], [0x7F0]]
+        assert rig.faults.fired() == {"fault 1": 1}
+
+
+@pytest.mark.parametrize("name", ["host-1", "host-02", "host-x", "hosts"])
+def test_a_fault_names_only_connections_that_there_can_be(read, name):
+    expected = f'world.toml:4: fault[0].sender: there is no controller "{name}"'
+    assert expected in refused(read, DROP.replace("left", name))
 
 
 def test_a_record_contains_the_whole_world(read, bench):
