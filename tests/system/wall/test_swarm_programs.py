@@ -74,6 +74,20 @@ def test_programs_are_killed_at_the_same_instant_in_each_run(cell):
     assert {"kill": 1} in killed
 
 
+def test_an_allowed_error_may_end_the_other_program(cell):
+    (cell / "watcher.py").write_text(
+        "import motorhil\n"
+        "from motorhil.motorapi import LinkError\n"
+        "rig = motorhil.join()\n"
+        "rig.runtime.run_for(1.4)\n"
+        'if rig.motors["left"].position() < 0.9:\n'
+        '    raise LinkError(link="can0", reason="the driver is gone")\n'
+    )
+    status, found = swarm(cell, "--seeds", "2", "-o", "out")
+    assert status == 0, found
+    assert found["ended_by"] == {"LinkError": 1}
+
+
 def test_what_the_death_of_one_program_does_to_another_is_a_failure(cell):
     (cell / "watcher.py").write_text(
         "import motorhil\n"

@@ -31,7 +31,8 @@ def test_guided_worlds_are_like_earlier_ones():
     lane = Lane()
     earlier = run(lane, _SEEDS)
     known = {one for world in earlier for one in world}
-    guided = [seed for seed in _SEEDS if (seed // LANES) % 2]
+    later = range(_SEEDS.stop, _SEEDS.stop + 40 * LANES, LANES)
+    guided = [seed for seed in later if (seed // LANES) % 2]
     shares = [sum(one in known for one in lane.world(seed, PROFILE, UNDECLARED)) for seed in guided]
     assert sum(map(bool, shares)) > len(guided) / 2
 
