@@ -356,7 +356,7 @@ class Servo:
             is_there = abs(course.target - self.position) <= limits.window
         self._settled = self._settled + 1 if is_there else 0
         self.is_done = self._settled >= self._settle_cycles
-        self._short = self._short + 1 if still and not is_there else 0
+        self._short = self._short + 1 if still else 0
         if self._short >= self._short_cycles:  # such as with commands that the amplifier lost
             self.lags = True
 

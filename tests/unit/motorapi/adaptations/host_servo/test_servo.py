@@ -370,6 +370,19 @@ def test_standstill_beside_the_target_fails_after_its_time(stops_at: int):
     assert lags.index(True) + 1 == stops_at + 20 + 300 - 1
 
 
+def test_standstill_at_the_edge_of_the_window_fails_too():
+    """Counts of 10 and 11 increments, one within the window and one beside it."""
+    servo = Servo(T)
+    servo.step(0, 0)
+    servo.begin(Course(POSITION, 0.0), GAINS, LIMITS, 0)
+    lags = []
+    for cycle in range(1, 700):
+        servo.step(10 + cycle % 2, cycle)
+        lags.append(servo.lags)
+    assert not servo.is_done
+    assert True in lags
+
+
 def test_standstill_within_the_window_never_fails():
     servo = Servo(T)
     servo.step(0, 0)
