@@ -14,7 +14,7 @@ from motorhil.harness.swarm.engine import (
     WorkerRefused,
     run_chunk,
 )
-from motorhil.harness.swarm.lanes import LANES, lane_of
+from motorhil.harness.swarm.lanes import LANES, file_of, lane_of
 from motorhil.harness.swarm.plan import PYTEST, Plan
 from motorhil.harness.swarm.results import Results
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
@@ -132,17 +132,12 @@ class Campaign:
         self._deaths = 0
         took_s = max(1e-3, time.monotonic() - begun)
         self._chunk = max(1, min(_CHUNK_MAX, round(len(seeds) * _CHUNK_S / took_s)))
-        self._results.append(rows, _file_of(self._part))
+        self._results.append(rows, file_of("rows", self._part))
         return lane, rows
 
 
 def _told(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-
-
-def _file_of(part: tuple[int, int]) -> str:
-    number, count = part
-    return "rows.jsonl" if count == 1 else f"rows-{number}-of-{count}.jsonl"
 
 
 def seeds_of(first: int, count: int) -> list[int]:

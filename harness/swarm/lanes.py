@@ -24,6 +24,12 @@ def lane_of(seed: int) -> int:
     return 0 if seed == CANARY else seed % LANES
 
 
+def file_of(kind: str, part: tuple[int, int]) -> str:
+    """Return the name of a result file of part K of N, so that folders of all parts merge."""
+    number, count = part
+    return f"{kind}.jsonl" if count == 1 else f"{kind}-{number}-of-{count}.jsonl"
+
+
 @final
 class Lane:
     """Pairs that the worlds of a lane have met so far, and the worlds that met them.

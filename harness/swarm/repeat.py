@@ -16,8 +16,8 @@ def assert_holds(
 
     Args:
         rig: the rig file.
-        kind: "script", "function" or "pytest".
-        program: a file, "package.module:function", or a node id.
+        kind: "script", "function", "pytest", or "programs" for those of the rig.
+        program: a file, "package.module:function", a node id, or the rig file.
         words: arguments of the program.
         seed: the world's seed.
         world: the fragment of the world.

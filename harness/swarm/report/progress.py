@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, TextIO, final
 
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.swarm.lanes import LANES
+from motorhil.harness.swarm.lanes import LANES, file_of
 from motorhil.harness.swarm.row import Row
 
 TIMES: Final = "times*.jsonl"
@@ -70,8 +70,7 @@ class Times:
     def __init__(
         self, folder: Path, part: tuple[int, int], first: int, seeds: int, at_s: float
     ) -> None:
-        number, count = part
-        self._path = folder / ("times.jsonl" if count == 1 else f"times-{number}-of-{count}.jsonl")
+        self._path = folder / file_of("times", part)
         self._write({"at": at_s, "first": first, "asked": seeds, "part": part})
 
     def take(self, rows: Iterable[Row], at_s: float) -> None:
