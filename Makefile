@@ -17,10 +17,10 @@ DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_
 # What was read once is not compiled or rewritten anew by each of the hundreds of programs that the
 # tests start, whatever the environment says; nor does it lie among the sources.
 BYTECODE := build/bytecode
-test test-compiled: export PYTHONDONTWRITEBYTECODE :=
-test test-compiled: export PYTHONPYCACHEPREFIX := $(CURDIR)/$(BYTECODE)
+test: export PYTHONDONTWRITEBYTECODE :=
+test: export PYTHONPYCACHEPREFIX := $(CURDIR)/$(BYTECODE)
 
-.PHONY: help install demo docs wheel quick test check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled test-compiled fuzz-compiled
+.PHONY: help install demo docs wheel quick test check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled fuzz-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -61,10 +61,15 @@ nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples,
 	-$(MAKE) --no-print-directory rule-mutants RULES="--seed $$(date +%s)"
 	$(BIN)/python -m tests.system.swarm --first $$(date +%s)
 
-# Import contracts and documents have tests, so that these need not be checked before.
-test: $(READY)  ## everything that must hold, on one machine, in minutes; repetition is for nightly
+# Import contracts and documents have tests, so that these need not be checked before. What ships is
+# what is tested; then the sources, with fewer random examples. Without a compiler they meet all tests.
+test: $(READY)  ## everything that must hold, on one machine, in minutes; PURE=1: the sources alone
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target types style $(BYTECODE)/.made
-	$(BIN)/python -m pytest $(WORKERS)
+	@if [ "$(PURE)" = 1 ] || ! command -v $${CC:-cc} > /dev/null; then \
+	    exec $(BIN)/python -m pytest $(WORKERS); fi; \
+	$(MAKE) --no-print-directory compiled && \
+	$(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled && \
+	MOTORHIL_HYPOTHESIS=brief $(BIN)/python -m pytest $(WORKERS) --cores pure
 
 check: style types  ## style, types, import contracts, links and language of the documents
 	$(BIN)/lint-imports
@@ -165,14 +170,10 @@ build-compiled: $(READY)
 	@$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index \
 	    --ignore-installed build/compiled/wheel/*.whl
 
-ON_COMPILED = rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/ && cd build/tests && \
-    MOTORHIL_COMPILED=1 MOTORHIL_CHECKOUT=$(CURDIR) MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} \
-    ../../$(COMPILED)/bin/python
-test-compiled: compiled  ## the tests again, against the compiled cores
-	$(ON_COMPILED) -m pytest $(TESTS)
-
 fuzz-compiled: compiled  ## the attacks against the compiled cores; FUZZ as for fuzz
-	$(ON_COMPILED) -m tests.attack $(FUZZ)
+	@rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/
+	@cd build/tests && MOTORHIL_CHECKOUT=$(CURDIR) MOTORHIL_SHARED=$${MOTORHIL_SHARED:-$(CURDIR)/../shared} \
+	    ../../$(COMPILED)/bin/python -m tests.attack $(FUZZ)
 
 clean:  ## removes all that the other targets have made
 	rm -rf $(VENV) .venv-compiled .venv-docs build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -40,25 +40,34 @@ def _fact(name: str, found: os.stat_result) -> str:
     return f"{name} {found.st_size} {found.st_mtime_ns}"
 
 
+def is_current(clone: Path) -> bool:
+    """Return True if the clone has compiled cores, and its sources have not changed since."""
+    build = clone / _BUILD
+    try:
+        made_from = (build / ".proof").read_text().strip()
+    except OSError:
+        return False
+    return made_from == proof(clone) and _python(clone).exists()
+
+
 def run_compiled(clone: Path) -> None:
     """Replace this process by the same command with the compiled cores of the clone.
 
     Return if there are none, or if `MOTORHIL_PURE` is 1. Say so if the sources have changed since.
     """
-    build = clone / _BUILD
-    if os.environ.get(PURE) == "1" or not build.is_dir():
+    if os.environ.get(PURE) == "1" or not (clone / _BUILD).is_dir():
         return
-    python = build / "bin" / "python"
-    try:
-        is_current = (build / ".proof").read_text().strip() == proof(clone)
-    except OSError:
-        is_current = False
-    if is_current and python.exists():
+    if is_current(clone):
+        python = _python(clone)
         os.execv(python, [str(python), *sys.orig_argv[1:]])
     sys.stderr.write(
         "motorhil: pure Python cores; the sources have changed since `make compiled`;"
         f" run it again, or set {PURE}=1\n"
     )
+
+
+def _python(clone: Path) -> Path:
+    return clone / _BUILD / "bin" / "python"
 
 
 if __name__ == "__main__":

@@ -13,7 +13,10 @@ from hypothesis.internal.constants_ast import Constants
 
 from motorhil import emulators
 from motorhil.__main__ import ALLOCATIONS
+from motorhil.compiled import PURE, is_current
 from motorhil.harness.version import cores_are_compiled
+from tests.support.checkout import CHECKOUT
+from tests.support.cores import choose, leave_out
 from tests.support.dissector import collect_sent, complaints, tshark
 
 # Examples must not depend on which modules other tests of the same process have imported.
@@ -32,10 +35,23 @@ settings.register_profile("nightly", deadline=None, print_blob=True, max_example
 settings.load_profile(os.environ.get("MOTORHIL_HYPOTHESIS", "ci"))
 
 
-def pytest_configure() -> None:
-    """Refuse to test pure cores when compiled ones are required (make test-compiled)."""
-    if os.environ.get("MOTORHIL_COMPILED") == "1" and not cores_are_compiled():
-        raise pytest.UsageError(f"the cores in {emulators.__file__} are not compiled")
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that divides the tests between two runs."""
+    told = "run the tests that `make test` runs on these cores (tests/support/cores.py)"
+    parser.addoption("--cores", choices=("compiled", "pure"), help=told)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse to test pure cores when compiled ones are required, and the reverse."""
+    cores = config.getoption("cores")
+    if cores is not None and cores != ("compiled" if cores_are_compiled() else "pure"):
+        raise pytest.UsageError(f"the cores in {emulators.__file__} are not {cores}")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the files that the run of the other cores tries."""
+    cores = config.getoption("cores")
+    return True if cores is not None and leave_out(collection_path, cores) else None
 
 
 @pytest.hookimpl(wrapper=True)
@@ -65,9 +81,9 @@ def pytest_pycollect_makeitem(name: str, obj: object) -> list[pytest.Item] | Non
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave single parameters to `make nightly`, and order tests for the workers of `make test`.
 
-    The compiled build and its tests come first, then wall-time tests: while they wait, the other
-    workers work.
+    The tests of builds come first, then wall-time tests: while they wait, other workers work.
     """
+    items[:] = choose(items, config.getoption("cores"))
     if not NIGHTLY:
         repeated = [item for item in items if item.get_closest_marker("nightly")]
         config.hook.pytest_deselected(items=repeated)
@@ -151,8 +167,8 @@ def own_locks(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cores() -> None:
-    """Run the command of this checkout on its sources, whatever was compiled from them."""
-    os.environ["MOTORHIL_PURE"] = "1"
+    """Run the command of this checkout on what was compiled from its sources, or on the sources."""
+    os.environ[PURE] = "0" if is_current(CHECKOUT) else "1"
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -40,6 +40,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
+from motorhil.compiled import PURE
 from tests.architecture import rover_picture
 from tests.support.checkout import CHECKOUT
 
@@ -191,7 +192,7 @@ def environment(folder):
         "PYTHONPATH": os.pathsep.join(filter(None, [str(folder / "site"), kept.get("PYTHONPATH")])),
         "INSTALLED": str(folder / "site"),
         "PYTHONUNBUFFERED": "1",
-        "MOTORHIL_PURE": "1",  # whatever was compiled in this clone
+        PURE: os.environ.get(PURE, "1"),  # as the other tests (tests/conftest.py)
     }
 
 

@@ -18,7 +18,6 @@ from motorhil.harness.shared_time.participant import Participant
 from motorhil.harness.shared_time.programs import _Process
 from motorhil.harness.shared_time.shared_clock import SharedClock
 from motorhil.harness.sharing_tests import processes
-from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import Motor
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.dryve.telegrams import DryveCodec
@@ -40,9 +39,7 @@ SEED = 1
 PAIRS = 5
 READS_AGAIN = 383
 """The schedule that meets a takeover just before it reads its epoch again."""
-UNCOMPILED = pytest.mark.skipif(
-    cores_are_compiled(), reason="compiled classes cannot be broken on purpose"
-)
+UNCOMPILED = pytest.mark.pure("compiled classes cannot be broken on purpose")
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,6 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.rig import Rig
-from motorhil.harness.version import cores_are_compiled
 from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from tests.support.cia402.bench import Bench
 from tests.support.dissector import COLUMNS, capture, collect_sent, complaints, dissected
@@ -95,7 +94,7 @@ def test_planted_foreign_frame_is_detected(tshark, tmp_path, frame, fault):
     assert fault in told
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be tapped")
+@pytest.mark.pure("compiled cores cannot be tapped")
 def test_every_kind_of_node_frame_is_collected():
     sent: set[bytes] = set()
     end = collect_sent(sent)

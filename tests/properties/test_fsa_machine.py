@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from motorhil.harness.version import cores_are_compiled
 from tests.support.cia402.mutants import MUTANTS
 from tests.support.cia402.standard import TABLE, State
 from tests.support.cia402.stranger import DEEDS, MODES, STARTS, Stranger, walks
@@ -83,7 +82,7 @@ def test_seeded_walks_reach_every_state_and_transition(capsys):
     assert missing == [], table
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be broken on purpose")
+@pytest.mark.pure("compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize("name", MUTANTS)
 def test_drive_with_a_deliberate_defect_is_detected(name, monkeypatch):
     MUTANTS[name](monkeypatch)

@@ -82,7 +82,8 @@ _INTERRUPTS: Final = {*_DISTURBS, Ability.SEVERAL_USERS, Ability.LOAD, Ability.F
 """Abilities with which a clause may let something else end a motion."""
 _TARGET: Final = "607Ah"
 _ABSENT: Final = "object does not exist"
-_EMULATORS: Final = str(Path(motorhil.__file__).parent / "emulators") + os.sep
+_PACKAGES: Final = Path(motorhil.__file__).parents[1]
+_EMULATORS: Final = str(_PACKAGES / "motorhil" / "emulators") + os.sep
 _NS: Final = 1e9
 
 
@@ -143,7 +144,8 @@ def _frames(error: BaseException) -> Iterator[tuple[str, str, int]]:
     traceback: TracebackType | None = error.__traceback__
     while traceback is not None:
         code = traceback.tb_frame.f_code
-        yield code.co_filename, code.co_qualname, traceback.tb_lineno
+        file = str(_PACKAGES / code.co_filename)  # compiled code names it from there
+        yield file, code.co_qualname, traceback.tb_lineno
         traceback = traceback.tb_next
 
 

@@ -12,7 +12,6 @@ from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.version import cores_are_compiled
 from tests.conformance.drives.mutants import MUTANTS
 from tests.conformance.drives.rigs import DEVIATIONS, DRIVES, LEGAL, target, text_of
 
@@ -73,6 +72,7 @@ def test_deviating_drive_has_its_finding(quirk):
     assert seen.result is Result.FAILED, seen
 
 
+@pytest.mark.pure("compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize(("keys", "wanted"), [("true", Result.PASSED), ("false", Result.FAILED)])
 def test_home_offset_has_the_declared_sign(monkeypatch, keys, wanted):
     MUTANTS["home_offset_has_the_other_sign"].plant(monkeypatch)
@@ -99,7 +99,7 @@ def test_drive_with_a_legal_quirk_is_not_accused(quirk):
     assert accusations(target(f'quirks = ["{quirk}"]')) == []
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be broken on purpose")
+@pytest.mark.pure("compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize("name", MUTANTS)
 def test_clause_finds_its_mistake(monkeypatch, name):
     mutant = MUTANTS[name]

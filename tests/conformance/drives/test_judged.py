@@ -6,7 +6,6 @@ from motorhil.harness.conformance.drives.kit import drive_clauses
 from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.oracles.base import Verdict
 from motorhil.harness.oracles.judge import judge
-from motorhil.harness.version import cores_are_compiled
 from tests.conformance.drives.mutants import MUTANTS
 from tests.conformance.drives.rigs import DRIVES, target
 
@@ -46,7 +45,7 @@ def broken(keys, clause, path):
     return [name for name in found if name != "sync-period"]
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be broken on purpose")
+@pytest.mark.pure("compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize("name", SEEN)
 def test_mistake_is_seen_on_the_bus(monkeypatch, tmp_path, name):
     mutant = MUTANTS[name]

@@ -27,7 +27,7 @@ def test_two_processes_with_different_hash_seeds_make_one_demo(tmp_path):
 @pytest.mark.compiled
 def test_compiled_cores_and_their_sources_make_one_demo(tmp_path):
     if not cores_are_compiled():
-        pytest.skip("the cores here are pure Python: make test-compiled compares the two")
+        pytest.skip("the cores here are pure Python: make test compares the two")
     compiled, pure = outputs(
         [
             start(tmp_path / "compiled", 0, "demo"),

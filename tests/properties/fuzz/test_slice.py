@@ -4,7 +4,6 @@ import pytest
 
 from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.emulators.cia402.power_drive import PowerDrive
-from motorhil.harness.version import cores_are_compiled
 from tests.properties.fuzz import __main__ as fuzz
 from tests.properties.fuzz.frames import line_of, steps_in
 from tests.properties.fuzz.target import EPISODE, Reached, endure, episode
@@ -61,7 +60,7 @@ def _enables_by_a_reset_word(patch):
     patch.setattr(PowerDrive, "_write_controlword", write)
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="compiled cores cannot be broken on purpose")
+@pytest.mark.pure("compiled cores cannot be broken on purpose")
 @pytest.mark.parametrize(
     ("plant", "told"),
     [

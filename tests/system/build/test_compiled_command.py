@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from motorhil.compiled import proof
-from motorhil.harness.version import cores_are_compiled
 from tests.support.checkout import CHECKOUT
 
-pytestmark = pytest.mark.skipif(cores_are_compiled(), reason="a matter of the sources")
+pytestmark = pytest.mark.pure("a matter of the sources")
 
 PURE = "pure Python cores, source"
 

@@ -2,12 +2,11 @@
 
 import pytest
 
-from motorhil.harness.version import cores_are_compiled
 from tests.support.building import clone, demo
 
 pytestmark = [
     pytest.mark.compiled,
-    pytest.mark.skipif(cores_are_compiled(), reason="the demo of the sources is compared"),
+    pytest.mark.pure("the demo of the sources is compared"),
 ]
 
 

@@ -8,7 +8,6 @@ import textwrap
 
 import pytest
 
-from motorhil.harness.version import cores_are_compiled
 from tests.conformance.mutants.by_rule.classified import read
 from tests.conformance.mutants.by_rule.execution import Execution, Run, before_benches
 from tests.conformance.mutants.by_rule.loading import instrumented, mutated
@@ -139,9 +138,8 @@ def test_classified_survivors_are_readable():
         assert reason.reason, reason
 
 
+@pytest.mark.pure("a compiled function cannot be replaced; the pure cores have the same text")
 def test_slice_of_mutants_has_its_known_verdicts():
-    if cores_are_compiled():
-        pytest.skip("a compiled function cannot be replaced; the pure cores have the same text")
     words = ("-m", "tests.conformance.mutants.by_rule", "--known")
     result = subprocess.run(
         [sys.executable, *words],

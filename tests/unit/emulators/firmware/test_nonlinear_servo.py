@@ -27,7 +27,6 @@ from motorhil.emulators.oriental_az.drive import build as oriental_drive
 from motorhil.emulators.plant.nonlinear import PlantExtras
 from motorhil.emulators.plant.presets import WHEEL_60W
 from motorhil.emulators.settings.tables import plant_of
-from motorhil.harness.version import cores_are_compiled
 
 MS = 1_000_000
 CONTEXT = ControllerContext(name="drive", folder=Path(), seed=1)
@@ -223,7 +222,7 @@ def test_cooling_motor_at_rest_needs_few_wakeups():
     assert 25.0 <= axis.winding_temperature_c() < 25.1
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="what compiled cores call cannot be counted")
+@pytest.mark.pure("what compiled cores call cannot be counted")
 @pytest.mark.parametrize("is_on", [False, True])
 def test_cooling_motor_under_commands_is_not_run_ahead(is_on, monkeypatch):
     """With a command every 5 ms, the cooling hour ahead is not computed."""

@@ -5,7 +5,6 @@ import sys
 
 import pytest
 
-from motorhil.harness.version import cores_are_compiled
 from tests.support.checkout import CHECKOUT
 
 PROGRAM = """
@@ -44,7 +43,7 @@ def use_too(e: OrientalAzMotor, any_one: Motor) -> None:
 """
 
 
-@pytest.mark.skipif(cores_are_compiled(), reason="types are those of the sources")
+@pytest.mark.pure("types are those of the sources")
 def test_low_level_has_the_class_of_the_adaptation(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
     words = [sys.executable, "-m", "mypy", "--strict", "--no-color-output", "program.py"]

@@ -154,7 +154,7 @@ def test_any_drive_setting_gives_a_rig_or_a_rig_error(edits):
 @pytest.mark.wall
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_works_while_only_the_cores_run(tmp_path):
-    """Compiled code does not check for signals by itself (make test-compiled)."""
+    """Compiled code does not check for signals by itself (--cores compiled)."""
     (tmp_path / "rig.toml").write_text(
         "[bus.can0]\nbitrate_bit_s = 1_000_000\n"
         '[controller.left]\nkind = "cia402"\nbus = "can0"\nnode_id = 1\n'

@@ -1,0 +1,80 @@
+"""Which tests meet the compiled cores, the pure ones, or both.
+
+`make test` compiles the cores and runs the tests on them, because they are what ships. A second run
+tests the sources: `--cores pure`. Without a compiler the sources meet all tests. The mark `pure`
+names a test that only pure cores can pass, with the reason.
+"""
+
+from collections.abc import Iterable
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from motorhil.harness.version import cores_are_compiled
+from tests.support.checkout import CHECKOUT
+
+OF_THE_SOURCES: Final = ("architecture", "conformance/mutants", "system/build")
+BOTH: Final = (
+    *("unit", "properties", "crosscheck/canopen/test_canopen_client.py"),
+    *("conformance/test_kinds.py", "conformance/test_kinds_endings.py"),
+    *("conformance/test_kinds_shared.py", "crosscheck/canopen/test_canopen_base_node_402.py"),
+)
+# These run interpreted code in both, or repeat at length what other tests cover. Without them,
+# every compiled function that these folders call is still called (checked by sys.settrace).
+COMPILED_ALONE: Final = (
+    *("unit/motorapi/functions", "unit/motorapi/generation", "unit/motorapi/locking"),
+    *("unit/motorapi/ownership/test_leases.py", "unit/motorapi/ownership/test_on_demand.py"),
+    *("unit/motorapi/ownership/test_sharing.py", "unit/motorapi/runtime/test_wall_*.py"),
+    *("unit/motorapi/synchronization/test_skew*.py", "properties/test_skew*.py"),
+    *("unit/harness/sharing_tests", "properties/test_sharing*.py", "unit/harness/report"),
+    *("unit/harness/recording/test_places.py", "unit/harness/recording/test_pump.py"),
+    *("unit/harness/recording/test_datagrams.py", "unit/harness/cli/test_cli.py"),
+    "unit/harness/cli/test_demo*.py",  # properties/determinism/test_demo.py compares their digests
+    *("unit/harness/cli/test_run.py", "unit/harness/cli/test_replay.py"),
+    *("unit/harness/replay/test_hostile_use.py", "unit/harness/replay/test_traffic.py"),
+    *("unit/harness/replay/test_imported.py", "unit/traces/formats", "unit/traces/decoding"),
+    *("unit/traces/exchange", "unit/traces/mcap/test_recovery.py", "properties/test_formats*.py"),
+    *("properties/test_d[ae]*.py", "properties/fuzz/test_slice.py"),
+    "properties/fuzz/test_modbus_drives.py",
+    *("unit/harness/pytest_plugin", "unit/harness/cli/test_new_ci.py"),  # pytest as a program
+)
+_MARK: Final = "mark.pure("
+_TESTS: Final = CHECKOUT / "tests"
+
+
+def _is_in(path: Path, places: Iterable[str]) -> bool:
+    name = path.relative_to(_TESTS).as_posix()
+    return any(name == one or fnmatch(name, one) or fnmatch(name, f"{one}/*") for one in places)
+
+
+def meets_sources(path: Path) -> bool:
+    """Return True if all tests of this file run on the pure cores, beside the compiled ones."""
+    if _is_in(path, OF_THE_SOURCES):
+        return True
+    return _is_in(path, BOTH) and not _is_in(path, COMPILED_ALONE)
+
+
+def leave_out(path: Path, cores: str) -> bool:
+    """Return True if no test of this file belongs to a run of `--cores`."""
+    if path.suffix != ".py" or not path.name.startswith("test_"):
+        return False
+    if cores == "compiled":
+        return _is_in(path, OF_THE_SOURCES)
+    return not meets_sources(path) and _MARK not in path.read_text(encoding="utf-8")
+
+
+def choose(items: Iterable[pytest.Item], cores: str | None) -> list[pytest.Item]:
+    """Return the tests of a run of `--cores`; without it, skip those that need pure cores."""
+    kept: list[pytest.Item] = []
+    for item in items:
+        mark = item.get_closest_marker("pure")
+        if cores == "pure" and mark is None and not meets_sources(item.path):
+            continue
+        if cores == "compiled" and mark is not None:
+            continue
+        if mark is not None and cores_are_compiled():
+            item.add_marker(pytest.mark.skip(reason=mark.args[0]))
+        kept.append(item)
+    return kept
