@@ -16,29 +16,19 @@ from motorhil.harness.version import cores_are_compiled
 from tests.support.checkout import CHECKOUT
 
 OF_THE_SOURCES: Final = ("architecture", "conformance/mutants", "system/build")
+# The rooms of compiled modules, and tests through all of them.
 BOTH: Final = (
-    *("unit", "properties", "crosscheck/canopen/test_canopen_client.py"),
+    *("unit/emulators", "unit/motorapi/adaptations", "unit/motorapi/runtime", "properties"),
+    *("unit/harness/recording", "unit/harness/rig", "unit/harness/virtual_time", "unit/traces"),
     *("conformance/test_kinds.py", "conformance/test_kinds_endings.py"),
-    *("conformance/test_kinds_shared.py", "crosscheck/canopen/test_canopen_base_node_402.py"),
+    *("conformance/test_kinds_shared.py", "crosscheck/canopen/test_canopen_client.py"),
+    "crosscheck/canopen/test_canopen_base_node_402.py",
 )
-# These run interpreted code in both, or repeat at length what other tests cover. Without them,
-# every compiled function that these folders call is still called (checked by sys.settrace).
+# These call interpreted code, or repeat at length what other tests cover.
 COMPILED_ALONE: Final = (
-    *("unit/motorapi/functions", "unit/motorapi/generation", "unit/motorapi/locking"),
-    *("unit/motorapi/ownership/test_leases.py", "unit/motorapi/ownership/test_on_demand.py"),
-    *("unit/motorapi/ownership/test_sharing.py", "unit/motorapi/runtime/test_wall_*.py"),
-    *("unit/motorapi/synchronization/test_skew*.py", "properties/test_skew*.py"),
-    *("unit/harness/sharing_tests", "properties/test_sharing*.py", "unit/harness/report"),
-    *("unit/harness/recording/test_places.py", "unit/harness/recording/test_pump.py"),
-    *("unit/harness/recording/test_datagrams.py", "unit/harness/cli/test_cli.py"),
-    "unit/harness/cli/test_demo*.py",  # properties/determinism/test_demo.py compares their digests
-    *("unit/harness/cli/test_run.py", "unit/harness/cli/test_replay.py"),
-    *("unit/harness/replay/test_hostile_use.py", "unit/harness/replay/test_traffic.py"),
-    *("unit/harness/replay/test_imported.py", "unit/traces/formats", "unit/traces/decoding"),
-    *("unit/traces/exchange", "unit/traces/mcap/test_recovery.py", "properties/test_formats*.py"),
-    *("properties/test_d[ae]*.py", "properties/fuzz/test_slice.py"),
-    "properties/fuzz/test_modbus_drives.py",
-    *("unit/harness/pytest_plugin", "unit/harness/cli/test_new_ci.py"),  # pytest as a program
+    *("unit/motorapi/runtime/test_wall_*.py", "unit/traces/formats", "unit/traces/decoding"),
+    *("unit/traces/exchange", "properties/test_sharing*.py", "properties/test_skew*.py"),
+    *("properties/test_formats*.py", "properties/test_d[ae]*.py", "properties/fuzz/*.py"),
 )
 _MARK: Final = "mark.pure("
 _TESTS: Final = CHECKOUT / "tests"
