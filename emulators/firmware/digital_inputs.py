@@ -113,7 +113,7 @@ class DigitalInputs:
         """
         if value not in (0, 1, RELEASED):
             raise ValueError(
-                f"{name} = {value}: must be 0, 1 or {RELEASED} (released: the switch's own state)"
+                f"{name} = {value:g}: must be 0, 1 or {RELEASED} (released: the switch's own state)"
             )
         seen = self.look()
         bit = STIMULI[name]

@@ -17,10 +17,13 @@ than its wall time.
 """
 
 import threading
-import time
 from _thread import LockType, allocate_lock  # the real one, never the replacement for programs
 from collections.abc import Callable
 from operator import attrgetter
+from time import (  # real ones, too: calls of compiled code look like its caller's
+    monotonic_ns,
+    sleep,
+)
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.simulation.event_queue import UNSET, Alarm, EventQueue
@@ -654,11 +657,11 @@ class WallPace:
 
     def __call__(self, due_ns: int) -> None:
         """Sleep until wall time has reached `due_ns`."""
-        now_ns = time.monotonic_ns()
+        now_ns = monotonic_ns()
         if self._start_ns is None:
             self._start_ns = now_ns
         left_ns = self._start_ns + due_ns - now_ns
         if left_ns > 0:
-            time.sleep(left_ns / 1e9)
+            sleep(left_ns / 1e9)
         else:
             self.late_ns_max = max(self.late_ns_max, -left_ns)

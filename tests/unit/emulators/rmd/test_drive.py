@@ -140,6 +140,7 @@ BACKWARD = {"celsius": 50, "amps": -1.0, "dps": -500, "degrees": -45}
         ({"celsius": 50, "volts": 48.5}, "9A00000000000000", "9A320001E5010400"),  # (2.14)
     ],
 )
+@pytest.mark.pure("the state of compiled cores cannot be replaced")
 def test_drive_in_the_state_of_the_manual_has_its_answer(
     rmd, monkeypatch, state, request_data, answer
 ):
@@ -162,6 +163,7 @@ def test_drive_in_the_state_of_the_manual_has_its_answer(
 GOLDEN_MOTION = "E66682E052333B55"  # 9.99 rad, 1.021 rad/s, 10.012, 1, 10.004 N m (5)
 
 
+@pytest.mark.pure("the state of compiled cores cannot be replaced")
 def test_motion_mode_in_the_state_of_the_manual_has_its_answer(rmd, monkeypatch):
     """The answer's codes: p E665h, v 82Eh, t B55h; the drive is in the middle of each."""
     inc_rad = TURN / tau

@@ -149,6 +149,7 @@ def test_status_has_erpm_current_and_duty():
         (16, {"count": -2000, "dc_link_v": 48.1}, *(0x1B17, "FFFFFFD601E10000")),
     ],
 )
+@pytest.mark.pure("the state of compiled cores cannot be replaced")
 def test_status_in_the_state_of_the_golden_frame_is_that_frame(
     monkeypatch, status, state, can_id, data
 ):

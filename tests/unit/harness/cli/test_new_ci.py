@@ -128,6 +128,7 @@ def test_both_jobs_run_the_same_commands():
     assert commands_in(gitlab)[3:] == [f'if [ "$CI_JOB_STATUS" = failed ]; then {loop}; fi']
 
 
+@pytest.mark.pure("pytest is a program of the sources' environment")
 @pytest.mark.wall
 def test_job_runs(bench, say, tmp_path):
     say("new", "wheels", "--ci", "github")

@@ -115,6 +115,7 @@ def test_long_rpdo_uses_mapped_bytes_with_emcy_8220h():
     assert bench.frames() == ["082 00 00 00 00 00 00 00 00"]
 
 
+@pytest.mark.pure("compiled cores take no stand-in")
 @pytest.mark.parametrize(("bits", "is_one"), [(0, False), (1, True), (2, False)])
 def test_dummy_of_a_boolean_has_one_bit(bits, is_one):
     od = SimpleNamespace(dummies=(1,))
