@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
@@ -278,9 +278,8 @@ class _Watch:
         self._begun = self._page = time.monotonic()
         self._ran = 0
         self._is_over = False
-        self._failures = Counter(
-            cause_of(row) for row in results.rows.values() if row.is_bad and row.seed != CANARY
-        )
+        self._is_alone = results.is_alone
+        self._failures = _failures(results.rows.values())
         self._times = Times(results.folder, part, options.first, options.seeds, time.time())
         self._kept = kept_in(results.folder)
         self.draw(self._kept)
@@ -289,7 +288,10 @@ class _Watch:
         """Take the rows of a chunk."""
         self._times.take(rows, time.time())
         self._ran += len(rows)
-        self._failures.update(cause_of(row) for row in rows if row.is_bad and row.seed != CANARY)
+        if self._is_alone != self._results.is_alone:  # earlier rows count no more
+            self._is_alone = True
+            self._failures.clear()
+        self._failures.update(_failures(rows))
         now = time.monotonic()
         rate = self._ran / max(1e-3, now - self._begun)
         done = len(self._results.rows) - (CANARY in self._results.rows)
@@ -317,6 +319,10 @@ class _Watch:
         if not self._is_over:
             self._times.end(time.time())
         self._is_over = True
+
+
+def _failures(rows: Iterable[Row]) -> Counter[str]:
+    return Counter(cause_of(row) for row in rows if row.is_bad and row.seed != CANARY)
 
 
 def _kept(
@@ -385,14 +391,23 @@ def _show(options: argparse.Namespace) -> int:
 def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Namespace) -> Summary:
     """Write the page, and print the findings; return them."""
     page, summary, progress = _page(plan, results, kept)
+    if results.is_alone:
+        teller("swarm")(_alone(results.shown_by))
     found = summary, kept, plan, coverage_of(plan, summary), progress
     if options.json:
-        print(json.dumps({**as_table(*found), "page": str(page)}, indent=1))
+        alone = {"alone": results.is_alone, "shown_by": results.shown_by}
+        print(json.dumps({**as_table(*found), **alone, "page": str(page)}, indent=1))
         return summary
     for line in lines_of(*found):
         print(line)
     print(f"page: {page}")
     return summary
+
+
+def _alone(seed: int | None) -> str:
+    """Return why each world ran in a process of its own."""
+    shown = "" if seed is None else f"seed {seed}: its result depends on the worlds before it; "
+    return f"{shown}the program keeps state, so each world has run in a process of its own"
 
 
 def _page(

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import random
 import re
 import sys
 import traceback
@@ -33,7 +34,7 @@ from motorhil.harness.rig.script import (
 )
 from motorhil.harness.swarm import properties
 from motorhil.harness.swarm.child import call_forked
-from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, Plan
+from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, SCRIPT, Plan
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.worlds.disturbance import World, fragment
 from motorhil.harness.swarm.worlds.fairness import fair, fair_in
@@ -95,7 +96,7 @@ def tried(plan: Plan, seed: int, world: World, passing: Path, record: Path | Non
 
 def tried_in(plan: Plan, seed: int, file: Path, record: Path | None = None) -> Row:
     """Run the world of a fragment, as `tried` does; allowed errors may end the program."""
-    with TemporaryDirectory(prefix="motorhil-swarm-") as name:
+    with TemporaryDirectory(prefix="motorhil-world-") as name:
         passing = Path(name)
         trial = _Trial(plan, seed, (), record or passing / _RECORD, file)
         if plan.program.kind != PYTEST:
@@ -118,7 +119,13 @@ def warm(plan: Plan, passing: Path) -> None:
 
     The program itself is not imported. Errors are not told: the first world has them too.
     """
-    nothing = Script(_RECORD, b"", str(passing))
+    program = plan.program
+    folder = passing
+    if program.kind == FUNCTION:
+        add_current_folder()
+    elif program.kind == SCRIPT:
+        folder = Path(program.name).resolve().parent  # plugins are searched along sys.path
+    nothing = Script(_RECORD, b"", str(folder))
     with suppress(Exception):
         with Rig(_described(plan, None), record=passing / _RECORD, doubts=False) as rig:
             Observer(rig)
@@ -361,6 +368,7 @@ class _Trial:
 
     def _call(self, target: str, rig: Rig) -> int:
         """Call a function of the application; return its exit status, 0 unless it calls exit."""
+        random.seed(f"{abs(self._seed)}:program")  # as that of a script
         try:
             _function(target)(rig)
         except SystemExit as leaving:
@@ -426,9 +434,15 @@ def _at_rest(description: RigDescription) -> Facts:
     )
 
 
+def add_current_folder() -> None:
+    """Find modules in the current folder; each change of sys.path costs a search of plugins."""
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+
+
 def _function(target: str) -> Callable[[Rig], object]:
     module, _, name = target.partition(":")
-    sys.path.insert(0, "")
+    add_current_folder()
     function: Callable[[Rig], object] = getattr(import_module(module), name)
     return function
 
