@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import time
+from base64 import b64decode
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
@@ -21,7 +22,7 @@ from motorhil.harness.cli.progress import StatusLine
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
-from motorhil.harness.swarm.engine import dask, end_workers, local, run_chunk
+from motorhil.harness.swarm.engine import Cluster, dask, end_workers, local, run_chunk
 from motorhil.harness.swarm.kept import Kept, keep, kept_in, record_of
 from motorhil.harness.swarm.lanes import lane_of
 from motorhil.harness.swarm.plan import (
@@ -352,9 +353,17 @@ def _again(
     plan: Plan, engine: Executor, seed: int, world: World, record: Path | None = None
 ) -> Row:
     request: dict[str, object] = {"try": seed, "world": [one.as_table() for one in world]}
-    if record is not None:
+    if record is not None and isinstance(engine, Cluster):
+        request["sends"] = True
+    elif record is not None:
         request["record"] = str(record)
-    (line,) = engine.submit(run_chunk, plan.as_table(), request).result()
+    line, *sent = engine.submit(run_chunk, plan.as_table(), request).result()
+    if record is not None and sent:
+        try:
+            record.write_bytes(b64decode(json.loads(sent[0])["record"]))
+        except OSError as error:
+            what = f"cannot be written: {error.strerror}"
+            raise RigError(record, what, "free some space") from None
     return row_from(line)
 
 

@@ -221,7 +221,9 @@ def dask(address: str) -> Cluster:
         remedy = "install motorhil[dask]"
         raise RigError(f"dask={address}", "dask.distributed is not installed", remedy) from None
     try:
-        client = Client(f"tcp://{address}", timeout="10s", set_as_default=False)
+        client = Client(  # type: ignore[no-untyped-call,unused-ignore]
+            f"tcp://{address}", timeout="10s", set_as_default=False
+        )
     except OSError as error:
         remedy = "start `dask scheduler`, and name its HOST:PORT"
         raise RigError(f"dask={address}", f"no scheduler answers: {error}", remedy) from None

@@ -19,6 +19,7 @@ import shutil
 import signal
 import sys
 import time
+from base64 import b64encode
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -52,6 +53,8 @@ _CHECKED: Final = 4
 """The last world of every batch of that number runs alone as well."""
 _CHECKED_EARLY: Final = (LANES, LANES + LANES // 2)
 """Seeds that show in a short campaign whether the program keeps state."""
+_SENT_MAX: Final = 1 << 24
+"""Length of a record that is sent, at most [bytes]."""
 _LEFT: Final = "left"
 _PASSING: Final = "motorhil-swarm-"
 _NEW_S: Final = 60.0
@@ -147,9 +150,11 @@ class Worker:
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self._plan = plan
-        self._folder = folder
+        self._folder = folder / "world"
+        self._folder.mkdir(exist_ok=True)
+        self._sent = folder / "sent.mcap"
         self._table = describe(Path(plan.rig)).world.swarm
-        warm(plan, folder)
+        warm(plan, self._folder)
         self._tidy()
         gc.collect()
         gc.freeze()  # children share what they do not look at
@@ -160,10 +165,7 @@ class Worker:
             if "profile" in request:
                 yield self._profile() + "\n"
             elif "try" in request:
-                world = tuple(from_table(one) for one in request["world"])
-                record = request.get("record")
-                path = None if record is None else Path(record)
-                yield self.run(request["try"], world, path).as_line() + "\n"
+                yield from self._again(request)
             else:
                 corpus = [tuple(from_table(one) for one in world) for world in request["corpus"]]
                 lane = Lane(request["seen"], corpus)
@@ -175,6 +177,18 @@ class Worker:
             yield json.dumps({"failed": str(error)}) + "\n"
         else:
             yield '{"done": true}\n'
+
+    def _again(self, request: dict[str, Any]) -> Iterator[str]:
+        """Run one world; yield its row, and its record if that is sent and not too long."""
+        world = tuple(from_table(one) for one in request["world"])
+        sends = request.get("sends", False)
+        record = self._sent if sends else request.get("record")
+        try:
+            yield self.run(request["try"], world, record and Path(record)).as_line() + "\n"
+            if sends and self._sent.exists() and self._sent.stat().st_size <= _SENT_MAX:
+                yield json.dumps({"record": b64encode(self._sent.read_bytes()).decode()}) + "\n"
+        finally:
+            self._sent.unlink(missing_ok=True)
 
     def _batch(self, lane: Lane, seeds: list[int], guided: bool, size: int) -> Iterator[str]:
         """Run worlds of a lane; yield their rows, and whether a row depends on worlds before."""

@@ -23,7 +23,7 @@ from motorhil.harness import examples
 from motorhil.harness.oracles.judge import judge
 from motorhil.harness.rig.rig import Rig, describe
 from motorhil.harness.swarm.campaign import Campaign, with_profile
-from motorhil.harness.swarm.engine import end_workers, local, worker_pids
+from motorhil.harness.swarm.engine import dask, end_workers, local, worker_pids
 from motorhil.harness.swarm.lanes import LANES, Lane
 from motorhil.harness.swarm.plan import FUNCTION, Plan, Program, plan_of
 from motorhil.harness.swarm.results import create
@@ -32,6 +32,7 @@ from motorhil.harness.swarm.worlds.fairness import fair
 from motorhil.traces.digest import digest
 from tests.benchmarks import swarm_programs
 from tests.benchmarks.bench_system import COMPILED
+from tests.support.swarm.clusters import cluster
 
 _EXAMPLES = Path(examples.__file__).parent
 _RIGS = {
@@ -103,6 +104,7 @@ def _figures(plan: Plan, worlds: int, rounds: int) -> Figures:
     yield "CPU time beyond the same runs without it", 100.0 * overheads[len(overheads) // 2], "%"
     yield "a row of a seed", size, "bytes"
     yield from _two_against_one(plan, worlds, rounds)
+    yield from _cluster_against_local(plan, worlds, rounds)
 
 
 def _seeds(number: int, worlds: int) -> list[int]:
@@ -136,6 +138,45 @@ def _cpu_s() -> float:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         ticks += sum(map(int, fields[11:15]))
     return time.process_time() + ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _cluster_against_local(plan: Plan, worlds: int, rounds: int) -> Figures:
+    """Yield what a cluster of dask costs beyond the workers of this machine, in turns."""
+    try:
+        import psutil
+    except ImportError:
+        return
+
+    def cpu_s() -> float:
+        own = psutil.Process()
+        tree = [own, *own.children(recursive=True)]
+        return sum(sum(one.cpu_times()[:4]) for one in tree)
+
+    ratios: dict[str, list[float]] = {"CPU time": [], "wall time": []}
+    with cluster(2) as (address, _), TemporaryDirectory() as name, local(2) as threads:
+        engines = threads, dask(address)
+        campaigns = [
+            Campaign(plan, create(Path(name) / str(number), plan), engine, 2, guided=False)
+            for number, engine in enumerate(engines)
+        ]
+        for campaign in campaigns:
+            campaign.run(range(4, 12), lambda rows: None)  # every worker begins
+        for number in range(rounds):
+            took: list[tuple[float, float]] = []
+            for campaign in campaigns:
+                begun = cpu_s(), time.monotonic()
+                campaign.run(_seeds(number, worlds), lambda rows: None)
+                took.append((cpu_s() - begun[0], time.monotonic() - begun[1]))
+            for what, one, other in zip(ratios, *took, strict=True):
+                ratios[what].append(other / one - 1.0)
+        engines[1].shutdown()
+        end_workers()
+    for what, some in ratios.items():
+        yield (
+            f"{what} of a cluster of dask beyond two local workers",
+            100.0 * sorted(some)[rounds // 2],
+            "%",
+        )
 
 
 class _Timed(Executor):
