@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-
 WORKERS_UMASK = 0o077
 """Files that a worker writes differ from those of the campaign by their mode."""
 
