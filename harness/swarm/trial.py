@@ -5,6 +5,7 @@ import os
 import random
 import re
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -51,6 +52,8 @@ _WARM_S: Final = 0.1
 _LATE: Final = "still runs"
 _RAISED: Final = re.compile(r"(?:[\w.]+\.)?(\w+)(?::|$)")
 """The last line of a traceback."""
+_STDLIB: Final = (sysconfig.get_path("stdlib") + os.sep, "<frozen")
+_INSTALLED: Final = f"{os.sep}site-packages{os.sep}"
 _PYTEST: Final = f"{os.sep}_pytest{os.sep}"
 
 
@@ -448,13 +451,15 @@ def _function(target: str) -> Callable[[Rig], object]:
 
 
 def _place(error: BaseException) -> str:
-    """Return file and line of the innermost frame that is the application's."""
+    """Return file and line of the innermost frame that is the application's.
+
+    An installed application has its files among the libraries: those count if no others are there.
+    """
     frames = traceback.extract_tb(error.__traceback__)
-    own = [
-        frame
-        for frame in frames
-        if not is_own_file(frame.filename) and _PYTEST not in frame.filename
-    ]
+    others = [one for one in frames if not is_own_file(one.filename)]
+    others = [one for one in others if _PYTEST not in one.filename]
+    own = [one for one in others if not one.filename.startswith(_STDLIB)]
+    own = [one for one in own if _INSTALLED not in one.filename] or own or others
     if not own:
         return "?"
     return f"{Path(own[-1].filename).name}:{own[-1].lineno}"

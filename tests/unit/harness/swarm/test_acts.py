@@ -45,3 +45,12 @@ def test_row_counts_strikes_until_the_end_of_its_run(tmp_path, monkeypatch, worl
     row = tried(plan, 1, world, tmp_path)
     assert dict(row.acts) == acts
     assert row.end_ns == 1_000_000_000
+
+
+def test_failure_in_a_library_is_at_the_line_of_the_program(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "wheels"]) == 0
+    Path("parse.py").write_text("import json\n\njson.loads('{')\n")
+    plan = plan_of(Path("wheels/rig.toml"), Program(SCRIPT, "parse.py"), (), 60.0)
+    row = tried(plan, 1, (), tmp_path)
+    assert row.signature.startswith("exception | JSONDecodeError at parse.py:3 | ")
