@@ -371,6 +371,7 @@ class _Trial:
 
     def _call(self, target: str, rig: Rig) -> int:
         """Call a function of the application; return its exit status, 0 unless it calls exit."""
+        chance = random.getstate()
         random.seed(f"{abs(self._seed)}:program")  # as that of a script
         try:
             _function(target)(rig)
@@ -378,6 +379,8 @@ class _Trial:
             return exit_status(leaving)
         except Exception as error:
             self.raised(error)
+        finally:
+            random.setstate(chance)
         return 0
 
     def raised(self, error: BaseException) -> None:
