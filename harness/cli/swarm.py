@@ -5,8 +5,9 @@ import json
 import os
 import sys
 import time
+from base64 import b64decode
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
@@ -21,7 +22,7 @@ from motorhil.harness.cli.progress import StatusLine
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
-from motorhil.harness.swarm.engine import dask, end_workers, local, run_chunk
+from motorhil.harness.swarm.engine import Cluster, dask, end_workers, local, run_chunk
 from motorhil.harness.swarm.kept import Kept, keep, kept_in, record_of
 from motorhil.harness.swarm.lanes import lane_of
 from motorhil.harness.swarm.plan import (
@@ -278,9 +279,8 @@ class _Watch:
         self._begun = self._page = time.monotonic()
         self._ran = 0
         self._is_over = False
-        self._failures = Counter(
-            cause_of(row) for row in results.rows.values() if row.is_bad and row.seed != CANARY
-        )
+        self._is_alone = results.is_alone
+        self._failures = _failures(results.rows.values())
         self._times = Times(results.folder, part, options.first, options.seeds, time.time())
         self._kept = kept_in(results.folder)
         self.draw(self._kept)
@@ -289,7 +289,10 @@ class _Watch:
         """Take the rows of a chunk."""
         self._times.take(rows, time.time())
         self._ran += len(rows)
-        self._failures.update(cause_of(row) for row in rows if row.is_bad and row.seed != CANARY)
+        if self._is_alone != self._results.is_alone:  # earlier rows count no more
+            self._is_alone = True
+            self._failures.clear()
+        self._failures.update(_failures(rows))
         now = time.monotonic()
         rate = self._ran / max(1e-3, now - self._begun)
         done = len(self._results.rows) - (CANARY in self._results.rows)
@@ -319,6 +322,10 @@ class _Watch:
         self._is_over = True
 
 
+def _failures(rows: Iterable[Row]) -> Counter[str]:
+    return Counter(cause_of(row) for row in rows if row.is_bad and row.seed != CANARY)
+
+
 def _kept(
     plan: Plan, results: Results, engine: Executor, watch: _Watch, shrinks: bool
 ) -> list[Kept]:
@@ -346,9 +353,17 @@ def _again(
     plan: Plan, engine: Executor, seed: int, world: World, record: Path | None = None
 ) -> Row:
     request: dict[str, object] = {"try": seed, "world": [one.as_table() for one in world]}
-    if record is not None:
+    if record is not None and isinstance(engine, Cluster):
+        request["sends"] = True
+    elif record is not None:
         request["record"] = str(record)
-    (line,) = engine.submit(run_chunk, plan.as_table(), request).result()
+    line, *sent = engine.submit(run_chunk, plan.as_table(), request).result()
+    if record is not None and sent:
+        try:
+            record.write_bytes(b64decode(json.loads(sent[0])["record"]))
+        except OSError as error:
+            what = f"cannot be written: {error.strerror}"
+            raise RigError(record, what, "free some space") from None
     return row_from(line)
 
 
@@ -385,14 +400,23 @@ def _show(options: argparse.Namespace) -> int:
 def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Namespace) -> Summary:
     """Write the page, and print the findings; return them."""
     page, summary, progress = _page(plan, results, kept)
+    if results.is_alone:
+        teller("swarm")(_alone(results.shown_by))
     found = summary, kept, plan, coverage_of(plan, summary), progress
     if options.json:
-        print(json.dumps({**as_table(*found), "page": str(page)}, indent=1))
+        alone = {"alone": results.is_alone, "shown_by": results.shown_by}
+        print(json.dumps({**as_table(*found), **alone, "page": str(page)}, indent=1))
         return summary
     for line in lines_of(*found):
         print(line)
     print(f"page: {page}")
     return summary
+
+
+def _alone(seed: int | None) -> str:
+    """Return why each world ran in a process of its own."""
+    shown = "" if seed is None else f"seed {seed}: its result depends on the worlds before it; "
+    return f"{shown}the program keeps state, so each world has run in a process of its own"
 
 
 def _page(

@@ -1,5 +1,10 @@
-"""Campaign: runs the seeds of a plan on an engine, lane by lane, and keeps the rows."""
+"""Campaign: runs the seeds of a plan on an engine, lane by lane, and keeps the rows.
 
+If a row depends on the worlds that its process ran before, the program keeps state. All worlds then
+run anew, each in a process of its own.
+"""
+
+import json
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -14,7 +19,7 @@ from motorhil.harness.swarm.engine import (
     WorkerRefused,
     run_chunk,
 )
-from motorhil.harness.swarm.lanes import LANES, file_of, lane_of
+from motorhil.harness.swarm.lanes import LANES, batch_of, lane_of
 from motorhil.harness.swarm.plan import PYTEST, Plan
 from motorhil.harness.swarm.results import Results
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
@@ -26,7 +31,16 @@ _DEATHS_MAX: Final = 5
 _LOOK_S: Final = 2.0
 """Wall time between looks at a cluster from which nothing comes [s]."""
 _AGAIN: Final = "resume with --resume"
+_KEEPS: Final = '{"keeps": '
 OnRows = Callable[[list[Row]], None]
+
+
+class _KeepsState(Exception):  # noqa: N818 -- it says what happened, as the errors of motorapi
+    """A row depends on the worlds that its process ran before."""
+
+    def __init__(self, row: Row) -> None:
+        super().__init__(row.seed)
+        self.row = row
 
 
 @final
@@ -60,6 +74,7 @@ class Campaign:
         self._guided = guided
         self._part = part
         self._chunk = 4
+        self._batch = plan.batch()
         self._deaths = 0
         self._running: dict[Future[list[str]], tuple[int, list[int], float]] = {}
 
@@ -74,6 +89,17 @@ class Campaign:
         Raises:
             RigError: rows cannot be written, or workers die or refuse.
         """
+        asked = list(seeds)
+        try:
+            self._run(asked, on_rows, until)
+        except _KeepsState as found:
+            for future in self._running:  # their rows are dropped
+                future.cancel()
+            self._running.clear()
+            self._results.begin_alone(found.row, self._part)
+            self._run(asked, on_rows, until)
+
+    def _run(self, seeds: list[int], on_rows: OnRows, until: float | None) -> None:
         number, count = self._part
         waiting: dict[int, list[int]] = {}
         for seed in self._results.missing(seeds):
@@ -98,7 +124,7 @@ class Campaign:
                     idle.append(lane)
 
     def _begin(self, lane: int, waiting: dict[int, list[int]]) -> None:
-        seeds = waiting[lane][: self._chunk]
+        seeds = self._next(waiting[lane])
         del waiting[lane][: len(seeds)]
         state = self._results.lane(lane, seeds[0])
         request: dict[str, Any] = {
@@ -106,6 +132,7 @@ class Campaign:
             "seen": list(state.seen),
             "corpus": [[one.as_table() for one in world] for world in state.corpus],
             "guided": self._guided,
+            "alone": self._results.is_alone,
         }
         try:
             future = self._engine.submit(run_chunk, self._table, request)
@@ -113,13 +140,22 @@ class Campaign:
             raise RigError(self._plan.rig, f"the engine is gone: {_told(error)}", _AGAIN) from None
         self._running[future] = lane, seeds, time.monotonic()
 
+    def _next(self, seeds: list[int]) -> list[int]:
+        """Return the next chunk of a lane, in whole batches."""
+        count = min(self._chunk, len(seeds))
+        if not self._results.is_alone:
+            last = batch_of(seeds[count - 1], self._batch)
+            while count < len(seeds) and batch_of(seeds[count], self._batch) == last:
+                count += 1
+        return seeds[:count]
+
     def _taken(
         self, future: "Future[list[str]]", waiting: dict[int, list[int]]
     ) -> tuple[int, list[Row]]:
         """Return the lane and the rows of a chunk; a chunk whose worker died waits again."""
         lane, seeds, begun = self._running.pop(future)
         try:
-            rows = [row_from(line) for line in future.result()]
+            lines = future.result()
         except WorkerRefused as error:
             raise RigError(self._plan.rig, f"a worker refuses: {error}", _AGAIN) from None
         except Exception as error:  # a worker has died, or a cluster has lost the chunk
@@ -130,9 +166,13 @@ class Campaign:
             waiting[lane][:0] = seeds
             return lane, []
         self._deaths = 0
+        told = [line for line in lines if line.startswith(_KEEPS)]
+        if told:
+            raise _KeepsState(row_from(json.loads(told[0])["keeps"]))
+        rows = [row_from(line) for line in lines]
         took_s = max(1e-3, time.monotonic() - begun)
         self._chunk = max(1, min(_CHUNK_MAX, round(len(seeds) * _CHUNK_S / took_s)))
-        self._results.append(rows, file_of("rows", self._part))
+        self._results.append(rows, self._part)
         return lane, rows
 
 

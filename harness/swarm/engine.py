@@ -6,10 +6,8 @@ time, never rows that were written.
 """
 
 import json
-import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -45,7 +43,6 @@ class WorkerProcess:
     """
 
     def __init__(self, plan: dict[str, Any]) -> None:
-        self._folder = tempfile.mkdtemp(prefix="motorhil-swarm-")
         self._process = subprocess.Popen(
             _COMMAND,
             stdin=subprocess.PIPE,
@@ -54,7 +51,7 @@ class WorkerProcess:
             start_new_session=True,  # Ctrl-C reaches the campaign, which ends it
         )
         try:
-            answer = self._ask({"plan": plan, "folder": self._folder})
+            answer = self._ask({"plan": plan})
             refused = json.loads(answer)["refused"]
             if refused:
                 raise WorkerRefused(refused)
@@ -107,7 +104,6 @@ class WorkerProcess:
             assert pipe is not None
             with suppress(OSError):  # what it has not read any more
                 pipe.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _ask(self, request: dict[str, Any]) -> str:
         assert self._process.stdin is not None
@@ -225,7 +221,9 @@ def dask(address: str) -> Cluster:
         remedy = "install motorhil[dask]"
         raise RigError(f"dask={address}", "dask.distributed is not installed", remedy) from None
     try:
-        client = Client(f"tcp://{address}", timeout="10s", set_as_default=False)
+        client = Client(  # type: ignore[no-untyped-call,unused-ignore]
+            f"tcp://{address}", timeout="10s", set_as_default=False
+        )
     except OSError as error:
         remedy = "start `dask scheduler`, and name its HOST:PORT"
         raise RigError(f"dask={address}", f"no scheduler answers: {error}", remedy) from None

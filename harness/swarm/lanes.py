@@ -24,6 +24,11 @@ def lane_of(seed: int) -> int:
     return 0 if seed == CANARY else seed % LANES
 
 
+def batch_of(seed: int, size: int) -> int:
+    """Return the number of a seed's batch in its lane; a batch has that many worlds at most."""
+    return seed // LANES // size
+
+
 def file_of(kind: str, part: tuple[int, int]) -> str:
     """Return the name of a result file of part K of N, so that folders of all parts merge."""
     number, count = part

@@ -24,6 +24,9 @@ SCRIPT: Final = "script"
 FUNCTION: Final = "function"
 PYTEST: Final = "pytest"
 PROGRAMS: Final = "programs"
+_BATCH_MAX: Final = 32
+_BATCH_FRAMES: Final = 16_000
+"""Frames of a batch: a second or so of computing."""
 _END_S: Final = 60.0
 _END_FACTOR: Final = 10
 WALL_S: Final = 60.0
@@ -91,6 +94,17 @@ class Plan:
         """Return a short digest of the plan; results belong together if it is the same."""
         text = json.dumps(replace(self, rig="").as_table(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def batch(self) -> int:
+        """Return how many worlds of a lane run one after the other in one process.
+
+        Short worlds share a process, which costs as much as some of them. Sessions of pytest and
+        programs with processes of their own share none.
+        """
+        if self.profile is None or self.program.kind not in (SCRIPT, FUNCTION):
+            return 1
+        frames = sum(one.frames for one in self.profile.traffic)
+        return max(1, min(_BATCH_MAX, _BATCH_FRAMES // max(1, frames)))
 
     def end_ns(self, table: "SwarmTable") -> int:
         """Return the simulated time at which a run has failed [ns]."""

@@ -1,7 +1,8 @@
 """Result files of a campaign: a folder with its plan and its rows.
 
 Rows are only appended. Folders of one plan merge by copying their files together: a row that is
-there twice counts once, and a last line that was cut is absent.
+there twice counts once, and a last line that was cut is absent. Once a program has shown that it
+keeps state, rows of worlds that ran alone are in files of another name, and only these count.
 """
 
 import json
@@ -11,12 +12,14 @@ from pathlib import Path
 from typing import Final, final
 
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.swarm.lanes import Lane, lane_of
+from motorhil.harness.swarm.lanes import Lane, file_of, lane_of
 from motorhil.harness.swarm.plan import Plan, plan_from
 from motorhil.harness.swarm.row import Row, row_from
 
 PLAN: Final = "plan.json"
-ROWS: Final = "rows*.jsonl"
+ROWS: Final = "rows"
+ALONE: Final = "alone"
+_FREE: Final = "free some space, then resume with --resume"
 _LOWEST: Final = -2
 """Below all seeds."""
 
@@ -28,14 +31,47 @@ class Results:
     Attributes:
         folder: the folder.
         rows: all rows by seed.
+        is_alone: True if each world has a process of its own, because the program keeps state.
     """
 
-    def __init__(self, folder: Path, rows: dict[int, Row]) -> None:
+    def __init__(
+        self, folder: Path, rows: dict[int, Row], together: dict[int, Row] | None = None
+    ) -> None:
         self.folder = folder
         self.rows = rows
+        self.is_alone = together is not None
+        self._together = together or {}
+        self._sort()
+
+    @property
+    def shown_by(self) -> int | None:
+        """A seed whose row depended on the worlds before it; None if none is known."""
+        both = self._together.items()
+        return next((seed for seed, row in both if self.rows.get(seed, row) != row), None)
+
+    def begin_alone(self, shown: Row, part: tuple[int, int]) -> None:
+        """Drop all rows; those that follow are of worlds that ran alone.
+
+        Args:
+            shown: a row that depended on the worlds before it.
+            part: the part of the campaign.
+
+        Raises:
+            RigError: the file cannot be written.
+        """
+        path = self.folder / file_of(ALONE, part)
+        try:
+            path.touch()  # from now on, rows in other files do not count
+        except OSError as error:
+            raise RigError(path, f"cannot be written: {error.strerror}", _FREE) from None
+        self.append([shown], part)
+        self._together, self.rows, self.is_alone = self.rows, {}, True
+        self._sort()
+
+    def _sort(self) -> None:
         self._seeds: dict[int, list[int]] = {}
         self._lanes: dict[int, tuple[int, Lane]] = {}
-        for seed in sorted(rows):
+        for seed in sorted(self.rows):
             self._seeds.setdefault(lane_of(seed), []).append(seed)
 
     def missing(self, seeds: Iterable[int]) -> list[int]:
@@ -53,14 +89,14 @@ class Results:
         self._lanes[number] = before, lane
         return lane
 
-    def append(self, rows: Iterable[Row], name: str = "rows.jsonl") -> None:
-        """Add rows to a file.
+    def append(self, rows: Iterable[Row], part: tuple[int, int] = (1, 1)) -> None:
+        """Add rows to the file of a part.
 
         Raises:
             RigError: the file cannot be written; what was written before is whole.
         """
         new = {row.seed: row for row in rows if row.seed not in self.rows}
-        path = self.folder / name
+        path = self.folder / file_of(ALONE if self.is_alone else ROWS, part)
         try:
             with path.open("ab", buffering=0) as file:
                 whole = file.tell()
@@ -72,8 +108,7 @@ class Results:
                     file.truncate(whole)
                     raise
         except OSError as error:
-            remedy = "free some space, then resume with --resume"
-            raise RigError(path, f"cannot be written: {error.strerror}", remedy) from None
+            raise RigError(path, f"cannot be written: {error.strerror}", _FREE) from None
         self.rows.update(new)
         for seed in new:
             number = lane_of(seed)
@@ -120,14 +155,22 @@ def open_results(folder: Path, *, repairs: bool = True) -> tuple[Plan, Results]:
         raise RigError(folder, f"has no {PLAN}", "name the folder of a campaign") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RigError(path, f"is no plan of a campaign: {error}", "use another folder") from None
+    together = _rows_of(folder, ROWS, repairs)
+    if any(folder.glob(f"{ALONE}*.jsonl")):
+        return plan, Results(folder, _rows_of(folder, ALONE, repairs), together)
+    return plan, Results(folder, together)
+
+
+def _rows_of(folder: Path, kind: str, repairs: bool) -> dict[int, Row]:
+    """Return the rows of all files of a kind."""
     rows: dict[int, Row] = {}
-    for file in sorted(folder.glob(ROWS)):
+    for file in sorted(folder.glob(f"{kind}*.jsonl")):
         for row in _rows_in(file, repairs):
             other = rows.setdefault(row.seed, row)
             if other != row:
                 what = f"seed {row.seed} has two results: {other.result.value}, {row.result.value}"
                 raise RigError(file, what, "remove the file of another plan")
-    return plan, Results(folder, rows)
+    return rows
 
 
 def _rows_in(file: Path, repairs: bool) -> Iterator[Row]:

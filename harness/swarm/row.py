@@ -4,10 +4,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import Any, Final, final
+from typing import Any, Final, TypeVar, final
 
 from motorhil.harness.swarm.worlds.disturbance import World, from_table
 
+T = TypeVar("T")
 CANARY: Final = -1
 """The seed of the world with a planted defect."""
 
@@ -84,6 +85,20 @@ class Row:
 _FIELDS: Final = tuple(one.name for one in fields(Row))
 
 
+_REPEATED: Final = ("oracle", "signature", "text", "ended_by")
+_SHARED: Final[dict[Any, Any]] = {}
+"""Values of earlier rows: a campaign keeps all rows, and most of their values repeat."""
+_SHARED_MAX: Final = 10_000
+
+
+def _once(value: T) -> T:
+    """Return an equal value of an earlier row, if there is one."""
+    if len(_SHARED) >= _SHARED_MAX:
+        _SHARED.clear()
+    found: T = _SHARED.setdefault(value, value)
+    return found
+
+
 def row_from(line: str | bytes) -> Row:
     """Return the row of a line.
 
@@ -96,7 +111,10 @@ def row_from(line: str | bytes) -> Row:
         table["new"] = tuple(table.get("new", ()))
         for key in ("met", "acts"):
             counts: Mapping[str, int] = table.get(key, {})
-            table[key] = tuple(counts.items())
+            table[key] = _once(tuple(_once(one) for one in counts.items()))
+        for key in _REPEATED:
+            if key in table:
+                table[key] = _once(table[key])
         table["world"] = tuple(from_table(one) for one in table.get("world", ()))
         return Row(**table)
     except (ValueError, TypeError, KeyError, AttributeError, AssertionError) as error:

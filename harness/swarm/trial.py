@@ -2,8 +2,10 @@
 
 import hashlib
 import os
+import random
 import re
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -33,7 +35,7 @@ from motorhil.harness.rig.script import (
 )
 from motorhil.harness.swarm import properties
 from motorhil.harness.swarm.child import call_forked
-from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, Plan
+from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, SCRIPT, Plan
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.worlds.disturbance import World, fragment
 from motorhil.harness.swarm.worlds.fairness import fair, fair_in
@@ -50,6 +52,8 @@ _WARM_S: Final = 0.1
 _LATE: Final = "still runs"
 _RAISED: Final = re.compile(r"(?:[\w.]+\.)?(\w+)(?::|$)")
 """The last line of a traceback."""
+_STDLIB: Final = (sysconfig.get_path("stdlib") + os.sep, "<frozen")
+_INSTALLED: Final = f"{os.sep}site-packages{os.sep}"
 _PYTEST: Final = f"{os.sep}_pytest{os.sep}"
 
 
@@ -95,7 +99,7 @@ def tried(plan: Plan, seed: int, world: World, passing: Path, record: Path | Non
 
 def tried_in(plan: Plan, seed: int, file: Path, record: Path | None = None) -> Row:
     """Run the world of a fragment, as `tried` does; allowed errors may end the program."""
-    with TemporaryDirectory(prefix="motorhil-swarm-") as name:
+    with TemporaryDirectory(prefix="motorhil-world-") as name:
         passing = Path(name)
         trial = _Trial(plan, seed, (), record or passing / _RECORD, file)
         if plan.program.kind != PYTEST:
@@ -118,7 +122,13 @@ def warm(plan: Plan, passing: Path) -> None:
 
     The program itself is not imported. Errors are not told: the first world has them too.
     """
-    nothing = Script(_RECORD, b"", str(passing))
+    program = plan.program
+    folder = passing
+    if program.kind == FUNCTION:
+        add_current_folder()
+    elif program.kind == SCRIPT:
+        folder = Path(program.name).resolve().parent  # plugins are searched along sys.path
+    nothing = Script(_RECORD, b"", str(folder))
     with suppress(Exception):
         with Rig(_described(plan, None), record=passing / _RECORD, doubts=False) as rig:
             Observer(rig)
@@ -361,12 +371,16 @@ class _Trial:
 
     def _call(self, target: str, rig: Rig) -> int:
         """Call a function of the application; return its exit status, 0 unless it calls exit."""
+        chance = random.getstate()
+        random.seed(f"{abs(self._seed)}:program")  # as that of a script
         try:
             _function(target)(rig)
         except SystemExit as leaving:
             return exit_status(leaving)
         except Exception as error:
             self.raised(error)
+        finally:
+            random.setstate(chance)
         return 0
 
     def raised(self, error: BaseException) -> None:
@@ -426,21 +440,29 @@ def _at_rest(description: RigDescription) -> Facts:
     )
 
 
+def add_current_folder() -> None:
+    """Find modules in the current folder; each change of sys.path costs a search of plugins."""
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+
+
 def _function(target: str) -> Callable[[Rig], object]:
     module, _, name = target.partition(":")
-    sys.path.insert(0, "")
+    add_current_folder()
     function: Callable[[Rig], object] = getattr(import_module(module), name)
     return function
 
 
 def _place(error: BaseException) -> str:
-    """Return file and line of the innermost frame that is the application's."""
+    """Return file and line of the innermost frame that is the application's.
+
+    An installed application has its files among the libraries: those count if no others are there.
+    """
     frames = traceback.extract_tb(error.__traceback__)
-    own = [
-        frame
-        for frame in frames
-        if not is_own_file(frame.filename) and _PYTEST not in frame.filename
-    ]
+    others = [one for one in frames if not is_own_file(one.filename)]
+    others = [one for one in others if _PYTEST not in one.filename]
+    own = [one for one in others if not one.filename.startswith(_STDLIB)]
+    own = [one for one in own if _INSTALLED not in one.filename] or own or others
     if not own:
         return "?"
     return f"{Path(own[-1].filename).name}:{own[-1].lineno}"

@@ -1,23 +1,32 @@
-"""Worker process: runs worlds of one plan, each in a forked child.
+"""Worker process: runs worlds of one plan in forked children.
 
-Requests and answers are lines of JSON. The first request is the plan, and a folder for files that
-pass; the answer is "ready", or the reason why this worker refuses. A request for a chunk is
-answered by its rows and "done". A child that hangs or dies costs its own world only, and leaves
-nothing behind in the next one.
+Requests and answers are lines of JSON. The first request is the plan; the answer is the reason why
+this worker refuses it, or "". A request for a chunk is answered by its rows and "done".
+
+A batch of short worlds shares a child, until one of them does not pass or leaves anything in the
+process. A world that fails, hangs or dies there runs again alone, and its row is that of the second
+run. Some worlds that pass run alone as well. If a row depends on the worlds before, the answer
+tells it, and the campaign begins anew with one world in each child.
 
     python -m motorhil.harness.swarm.worker
 """
 
+import fcntl
 import gc
 import json
 import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Iterable
+import time
+from base64 import b64encode
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
-from typing import Any, Final, final
+from tempfile import gettempdir, mkdtemp
+from typing import Any, Final, TextIO, final
 
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import describe
@@ -26,16 +35,31 @@ from motorhil.harness.swarm.child import (
     adopt_orphans,
     call_forked,
     end_orphans,
+    forget_modules,
+    forked,
+    holdings,
+    orphans,
     silence,
 )
-from motorhil.harness.swarm.lanes import Lane
-from motorhil.harness.swarm.plan import Plan, build, contents_of, plan_from
+from motorhil.harness.swarm.lanes import LANES, Lane, batch_of
+from motorhil.harness.swarm.plan import FUNCTION, Plan, build, contents_of, plan_from
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.trial import NoRecord, profiled, tried, warm
 from motorhil.harness.swarm.worlds.disturbance import World, from_table
 
 _TRIES: Final = 2
 """A world that something outside killed runs once more."""
+_CHECKED: Final = 4
+"""The last world of every batch of that number runs alone as well."""
+_CHECKED_EARLY: Final = (LANES, LANES + LANES // 2)
+"""Seeds that show in a short campaign whether the program keeps state."""
+_SENT_MAX: Final = 1 << 24
+"""Length of a record that is sent, at most [bytes]."""
+_LEFT: Final = "left"
+_PASSING: Final = "motorhil-swarm-"
+_NEW_S: Final = 60.0
+_TOLD: Final = (Result.PASSED, Result.FAILED, Result.TIMEOUT)
+"""Results that are the program's."""
 _OUTSIDE: Final = (signal.SIGKILL, signal.SIGTERM)
 
 
@@ -46,6 +70,12 @@ def main() -> int:
     silence()
     adopt_orphans()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # ends the child of the moment as well
+    with _passing() as folder:
+        _serve(requests, answers, folder)
+    return 0
+
+
+def _serve(requests: Iterable[str], answers: TextIO, folder: Path) -> None:
     worker: Worker | None = None
     for line in requests:
         request: dict[str, Any] = json.loads(line)
@@ -53,7 +83,7 @@ def main() -> int:
             plan = plan_from(request["plan"])
             refused = refusal(plan)
             if not refused:
-                worker = Worker(plan, Path(request["folder"]))
+                worker = Worker(plan, folder)
             answer: Iterable[str] = [json.dumps({"refused": refused}) + "\n"]
         else:
             assert worker is not None, "a plan comes first"
@@ -61,7 +91,39 @@ def main() -> int:
         for text in answer:
             answers.write(text)
             answers.flush()
-    return 0
+
+
+@contextmanager
+def _passing() -> Iterator[Path]:
+    """Yield a folder for files that pass; also remove those that killed workers have left."""
+    for one in Path(gettempdir()).glob(f"{_PASSING}*"):
+        if _is_left(one):
+            shutil.rmtree(one, ignore_errors=True)
+    folder = Path(mkdtemp(prefix=_PASSING))
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # until this process ends
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def _is_left(folder: Path) -> bool:
+    """Return True if no worker has the folder any more."""
+    try:
+        if time.time() - folder.stat().st_mtime < _NEW_S:  # perhaps not locked yet
+            return False
+        lock = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(lock)
+    return True
 
 
 def refusal(plan: Plan) -> str:
@@ -88,9 +150,11 @@ class Worker:
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self._plan = plan
-        self._folder = folder
+        self._folder = folder / "world"
+        self._folder.mkdir(exist_ok=True)
+        self._sent = folder / "sent.mcap"
         self._table = describe(Path(plan.rig)).world.swarm
-        warm(plan, folder)
+        warm(plan, self._folder)
         self._tidy()
         gc.collect()
         gc.freeze()  # children share what they do not look at
@@ -101,29 +165,104 @@ class Worker:
             if "profile" in request:
                 yield self._profile() + "\n"
             elif "try" in request:
-                world = tuple(from_table(one) for one in request["world"])
-                record = request.get("record")
-                path = None if record is None else Path(record)
-                yield self.run(request["try"], world, path).as_line() + "\n"
+                yield from self._again(request)
             else:
                 corpus = [tuple(from_table(one) for one in world) for world in request["corpus"]]
                 lane = Lane(request["seen"], corpus)
-                for seed in request["seeds"]:
-                    yield self._next(lane, seed, request["guided"]).as_line() + "\n"
+                guided, size = request["guided"], 1 if request["alone"] else self._plan.batch()
+                for _, seeds in groupby(request["seeds"], lambda seed: batch_of(seed, size)):
+                    for line in self._batch(lane, list(seeds), guided, size):
+                        yield line + "\n"
         except NoRecord as error:
             yield json.dumps({"failed": str(error)}) + "\n"
         else:
             yield '{"done": true}\n'
 
-    def _next(self, lane: Lane, seed: int, guided: bool) -> Row:
+    def _again(self, request: dict[str, Any]) -> Iterator[str]:
+        """Run one world; yield its row, and its record if that is sent and not too long."""
+        world = tuple(from_table(one) for one in request["world"])
+        sends = request.get("sends", False)
+        record = self._sent if sends else request.get("record")
+        try:
+            yield self.run(request["try"], world, record and Path(record)).as_line() + "\n"
+            if sends and self._sent.exists() and self._sent.stat().st_size <= _SENT_MAX:
+                yield json.dumps({"record": b64encode(self._sent.read_bytes()).decode()}) + "\n"
+        finally:
+            self._sent.unlink(missing_ok=True)
+
+    def _batch(self, lane: Lane, seeds: list[int], guided: bool, size: int) -> Iterator[str]:
+        """Run worlds of a lane; yield their rows, and whether a row depends on worlds before."""
+        while seeds:
+            together = None
+            if len(seeds) > 1:
+                together = yield from self._together(lane, seeds, guided, size)
+            if together != _LEFT and seeds:
+                row = self._next(lane, seeds.pop(0), guided, self.run)
+                lane.learn(row)
+                line = row.as_line()
+                yield line
+                if together not in (None, line) and row.result in _TOLD:
+                    yield json.dumps({"keeps": together})
+
+    def _together(
+        self, lane: Lane, seeds: list[int], guided: bool, size: int
+    ) -> Generator[str, None, str | None]:
+        """Run worlds in one child; drop seeds that have a row.
+
+        Returns:
+            the row of a world that must run alone as well; _LEFT if a world has left something in
+            its process; None if the child has ended.
+        """
+
+        def lines() -> Iterator[str]:
+            loaded, held = frozenset(sys.modules), holdings()
+            for seed in tuple(seeds):
+                row = self._next(lane, seed, guided, self._tried)
+                yield row.as_line()
+                forget_modules(loaded, package)
+                if row.result is not Result.PASSED or _is_checked(seed, size):
+                    return
+                if holdings() != held:
+                    yield _LEFT
+                    return
+                self._tidy()
+                lane.learn(row)
+
+        program = self._plan.program
+        package = program.name.partition(".")[0] if program.kind == FUNCTION else ""
+        try:
+            with closing(forked(lines, self._plan.wall_s)) as child:
+                for text in map(bytes.decode, child):
+                    if text == _LEFT:
+                        return _LEFT
+                    row = row_from(text)
+                    if row.result is not Result.PASSED or _is_checked(row.seed, size):
+                        return text
+                    lane.learn(row)
+                    seeds.pop(0)
+                    yield text
+                    if orphans():
+                        return _LEFT
+        finally:
+            end_orphans()
+            self._tidy()
+        return None
+
+    def _next(self, lane: Lane, seed: int, guided: bool, run: Callable[[int, World], Row]) -> Row:
         """Run the next world of a lane; the row has only what is new in it."""
         assert self._plan.profile is not None
         world = lane.world(abs(seed), self._plan.profile, self._table, guided)
-        row = self.run(seed, world)
+        row = run(seed, world)
         new = tuple(pair for pair in row.new if pair not in lane.seen)
         row = replace(row, new=new if seed != CANARY else ())
-        lane.learn(row)
         return row if row.new or row.is_bad else replace(row, world=())
+
+    def _tried(self, seed: int, world: World) -> Row:
+        """Run a world in this process; return its row."""
+        try:
+            return tried(self._plan, seed, world, self._folder)
+        except BaseException as error:  # it runs again alone, and is told then
+            return Row(seed, Result.CANCELLED, text=type(error).__name__)
 
     def run(self, seed: int, world: World, record: Path | None = None) -> Row:
         """Run a world in a child process; return its row whatever becomes of the child.
@@ -186,6 +325,12 @@ class Worker:
                 shutil.rmtree(one, ignore_errors=True)
             else:
                 one.unlink(missing_ok=True)
+
+
+def _is_checked(seed: int, size: int) -> bool:
+    """Return True if a world runs alone as well; its row must be the same."""
+    is_last = seed // LANES % size == size - 1
+    return seed in _CHECKED_EARLY or (is_last and batch_of(seed, size) % _CHECKED == 0)
 
 
 def _told(call: Callable[[], str]) -> str:

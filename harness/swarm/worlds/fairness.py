@@ -1,7 +1,8 @@
 """Fairness: which oracles may judge a world.
 
 A disturbance can break a promise by itself: a load that is stronger than the motor moves it at
-rest, and a lost frame is a request without an answer. A program that starts again and again after
+rest, and a lost frame is a request without an answer. A delayed statusword reports the target of
+before during the next motion. A program that starts again and again after
 the same fault sends its SYNCs in equal times, so they look cyclic until it gives up. Such an oracle
 does not judge such a world.
 """
@@ -18,7 +19,7 @@ _PUSHED: Final = ("load", "stall", "power", "supply", "fault", "heat")
 EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("limit-position", "limit-velocity", "limit-acceleration"), _PUSHED),
     **dict.fromkeys(("limit-torque", "following-bounded", "rest-when-told"), _PUSHED),
-    "arrival-true": (*_PUSHED, "quirk"),
+    "arrival-true": (*_PUSHED, "quirk", "delay"),
     **dict.fromkeys(("mode-signs", "errors-listed", "pds-legal"), ("quirk",)),
     **dict.fromkeys(("sdo-answered", "sdo-refusals"), (*_LOST, "quirk")),
     **dict.fromkeys(("heartbeat-kept", "no-reboot"), (*_LOST, "quirk", "clock", "kill")),

@@ -135,6 +135,7 @@ class ChannelClient(SdoClient):
         self._opened = b""  # index and sub-index of the transfer
         self._opened_service = _UPLOAD
         self.odd: bytes | None = None  # a frame during the transfer that was not its answer
+        self._answered = b""  # the last answer, which the bus may repeat
         self._answers: deque[bytes] = deque()
         self._quarantine_ns: int | None = None
         self._due: list[tuple[bytes, int]] = []  # places of unawaited answers, and time limits
@@ -214,7 +215,7 @@ class ChannelClient(SdoClient):
             if self._link.status.offs != self._offs:
                 raise self._link.status.failure()
             raise NoAnswer(f"nothing within {self.timeout_s:g} s")
-        answer = self._answers.popleft()
+        answer = self._answered = self._answers.popleft()
         if answer[0] == _ABORT:
             raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
         return answer
@@ -243,7 +244,7 @@ class ChannelClient(SdoClient):
             return
         if not self._can_answer(data, request.frame[8]):
             self.strays += 1
-            if not is_due:
+            if not is_due and data != self._answered:
                 self.odd = data
             return
         self._held.append(data)

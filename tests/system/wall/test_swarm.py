@@ -1,5 +1,6 @@
 """Campaigns in worker processes: what dies, hangs or stops, and what then is in the results."""
 
+import json
 import os
 import shutil
 import signal
@@ -13,10 +14,16 @@ import pytest
 from motorhil.harness import examples
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.campaign import Campaign, seeds_of, with_profile
-from motorhil.harness.swarm.engine import end_workers, local, run_chunk, worker_pids
+from motorhil.harness.swarm.engine import (
+    WorkerProcess,
+    end_workers,
+    local,
+    run_chunk,
+    worker_pids,
+)
 from motorhil.harness.swarm.plan import FUNCTION, Program, plan_of
 from motorhil.harness.swarm.results import create, open_results
-from motorhil.harness.swarm.row import CANARY, Result
+from motorhil.harness.swarm.row import CANARY, Result, Row
 from tests.support.command_line import beside, environment, has_ended, in_another_process
 
 pytestmark = pytest.mark.wall
@@ -97,6 +104,78 @@ def waiting(rig):
             file.write(" ".join(map(str, pids)))
         signal.pause()
 """
+KEEPING = """\
+import email, os, signal, subprocess, sys, threading
+from motorhil import always, sometimes
+
+COUNT = 0
+
+
+def calm(rig):
+    rig.runtime.run_for(0.01)
+
+
+def counting(rig):
+    global COUNT
+    calm(rig)
+    COUNT += 1
+    always(COUNT == 1, "first")
+
+
+def hiding(rig):  # in a module of Python
+    calm(rig)
+    email.count = getattr(email, "count", 0) + 1
+    sometimes(email.count > 5, "sixth")
+
+
+def blaming(rig):
+    calm(rig)
+    email.count = getattr(email, "count", 0) + 1
+    always(email.count < 5, "fewer")
+
+
+def dying(rig):
+    calm(rig)
+    email.count = getattr(email, "count", 0) + 1
+    if email.count > 5:
+        os._exit(1)
+
+
+def leaving(rig):
+    calm(rig)
+    number = rig.seed // 16 % 6
+    sometimes(os.getcwd() == "/", "elsewhere")
+    sometimes("LEFT" in os.environ, "set")
+    sometimes(signal.getsignal(signal.SIGUSR1) == signal.SIG_IGN, "ignored")
+    sometimes(threading.active_count() > 1, "threads")
+    if number == 0:
+        os.chdir("/")
+    if number == 1:
+        os.environ["LEFT"] = "1"
+    if number == 2:
+        signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    if number == 3:
+        threading.Thread(target=signal.pause, daemon=True).start()
+    if number == 4:
+        os.open("/", os.O_RDONLY)
+    if number == 5:
+        subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
+
+
+def daring(rig):
+    calm(rig)
+    if rig.seed == 64:
+        code = "import os, signal; os.fork() and os._exit(0); print(os.getpid()); signal.pause()"
+        command = [sys.executable, "-uc", code]
+        left = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+        with open("left", "wb") as file:
+            file.write(left.stdout.readline())
+        left.wait()
+        left.stdout.close()
+    if rig.seed > 64:
+        with open("left") as file:
+            sometimes(os.path.exists(f"/proc/{file.read().strip()}"), "orphan")
+"""
 ALWAYS = "[swarm]\nend_s = 5.0\n"
 
 
@@ -109,13 +188,15 @@ def folder(tmp_path, monkeypatch):
     shutil.copy(source / "wheel_model.toml", home)
     (home / "rig.toml").write_text((source / "two_wheels.toml").read_text() + ALWAYS)
     (home / "app.py").write_text(PROGRAMS)
+    (home / "keeping.py").write_text(KEEPING)
     monkeypatch.chdir(home)
     yield home
     end_workers()
 
 
-def plan(name, wall_s=60.0):
-    return with_profile(plan_of(Path("rig.toml"), Program(FUNCTION, f"app:{name}"), (), wall_s))
+def plan(name, wall_s=60.0, module="app"):
+    program = Program(FUNCTION, f"{module}:{name}")
+    return with_profile(plan_of(Path("rig.toml"), program, (), wall_s))
 
 
 def campaign(plan, results, seeds, *, workers=1, part=(1, 1), on_rows=lambda rows: None):
@@ -283,3 +364,80 @@ def test_records_that_cannot_be_written_are_no_results(folder):
     assert full.returncode == 2
     assert "run.mcap: cannot be written: file too large" in full.stderr
     assert not (folder / "out").exists()
+
+
+# --- worlds that share a process
+
+
+LANE = range(0, 12 * 16, 16)
+"""Seeds of one lane, which are one batch."""
+
+
+def alone(one, folder, seeds):
+    """Return the rows of a campaign whose worlds have a process each."""
+    results = create(folder, one)
+    results.begin_alone(Row(-2, Result.PASSED), (1, 1))
+    campaign(one, results, seeds)
+    return (folder / "alone.jsonl").read_text()
+
+
+def test_worlds_share_processes_and_no_variable_of_a_module(folder):
+    one = plan("counting", module="keeping")
+    results = create(folder / "out", one)
+    campaign(one, results, LANE)
+    assert one.batch() > len(LANE)
+    assert not results.is_alone
+    assert {row.result for row in results.rows.values()} == {Result.PASSED}
+
+
+@pytest.mark.parametrize("name", ["leaving", "daring", "dying"])
+def test_world_that_leaves_anything_or_dies_changes_no_other(folder, name):
+    one = plan(name, module="keeping")
+    results = create(folder / "out", one)
+    campaign(one, results, LANE)
+    assert not results.is_alone
+    assert (folder / "out/rows.jsonl").read_text() == alone(one, folder / "alone", LANE)
+
+
+def test_program_that_keeps_state_is_told_and_runs_alone(folder):
+    one = plan("hiding", module="keeping")
+    seeds = range(0, 33 * 16, 16)
+    results = create(folder / "out", one)
+    told = []
+    campaign(one, results, seeds, on_rows=told.extend)
+    last = seeds[one.batch() - 1]
+    assert results.is_alone
+    assert results.shown_by == last
+    assert len(told) == len(results.rows) == len(seeds)
+    text = (folder / "out/alone.jsonl").read_text()
+    assert text == alone(one, folder / "alone", seeds)
+    _, again = open_results(folder / "out")
+    assert (again.is_alone, again.shown_by, again.rows) == (True, last, results.rows)
+    begun = ("swarm", "rig.toml", "keeping:hiding", "--no-guidance", "-o", "out", "--resume")
+    done = in_another_process(*begun, "--seeds", "4", "--first", "1", "--json")
+    assert f"seed {last}: its result depends on the worlds before it" in done.stderr
+    assert json.loads(done.stdout)["alone"] is True
+    assert len((folder / "out/alone.jsonl").read_text().splitlines()) == len(seeds) + 5
+
+
+def test_failure_by_the_worlds_before_is_none(folder):
+    one = plan("blaming", module="keeping")
+    results = create(folder / "out", one)
+    campaign(one, results, range(3, 12 * 16, 16))
+    assert results.is_alone
+    assert {row.result for row in results.rows.values()} == {Result.PASSED}
+
+
+def test_folder_that_a_killed_worker_left_is_removed_later(folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    table = plan("calm").as_table()
+    first = WorkerProcess(table)
+    (left,) = tmp_path.glob("motorhil-swarm-*")
+    os.utime(left, (0, 0))
+    WorkerProcess(table).close()
+    assert left.exists()  # it is in use
+    os.kill(first.pid, signal.SIGKILL)
+    first.close()
+    os.utime(left, (0, 0))
+    WorkerProcess(table).close()
+    assert not list(tmp_path.glob("motorhil-swarm-*"))

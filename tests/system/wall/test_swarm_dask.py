@@ -2,10 +2,6 @@
 
 import os
 import shutil
-import socket
-import subprocess
-import sys
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,17 +13,25 @@ from motorhil.harness.swarm.campaign import Campaign, with_profile
 from motorhil.harness.swarm.engine import dask, end_workers, local
 from motorhil.harness.swarm.plan import FUNCTION, Program, plan_of
 from motorhil.harness.swarm.results import create, open_results
+from motorhil.traces.mcap.reader import read_trace
+from tests.support.command_line import in_another_process
+from tests.support.swarm import clusters
 
 pytestmark = pytest.mark.wall
 pytest.importorskip("distributed", reason="motorhil[dask] is not installed")
 
-PROGRAM = "def calm(rig):\n    rig.runtime.run_for(0.01)\n"
+PROGRAM = """\
+import os
 
 
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
+def calm(rig):
+    rig.runtime.run_for(0.01)
+
+
+def failing(rig):
+    calm(rig)
+    assert rig.seed < 3 or os.getcwd() == "/", "too many"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -48,25 +52,8 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def cluster(folder):
     """Return the address of a scheduler with two workers, and its process."""
-    address = f"127.0.0.1:{free_port()}"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
-
-    def begun(stack, *words):
-        command = [sys.executable, "-W", "ignore", "-m", "distributed.cli.dask_" + words[0]]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        process = stack.enter_context(
-            subprocess.Popen([*command, *words[1:]], env=environment, **quiet)
-        )
-        stack.callback(process.kill)
-        return process
-
-    with ExitStack() as stack:
-        host, port = address.split(":")
-        scheduler = begun(stack, "scheduler", "--host", host, "--port", port, "--no-dashboard")
-        for _ in range(2):
-            options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", host)
-            begun(stack, "worker", f"tcp://{address}", *options)
-        yield address, scheduler
+    with clusters.cluster(2) as begun:
+        yield begun
 
 
 @pytest.fixture(scope="module")
@@ -118,4 +105,15 @@ def test_worker_of_another_build_is_refused(folder, plan, cluster):
 
 def test_scheduler_that_does_not_answer_is_told():
     with pytest.raises(RigError, match="no scheduler answers"):
-        dask(f"127.0.0.1:{free_port()}")
+        dask(f"127.0.0.1:{clusters.free_port()}")
+
+
+def test_records_come_to_the_campaign(folder, cluster, tmp_path):
+    address, _ = cluster
+    words = ("swarm", "rig.toml", "app:failing", "--seeds", "4", "--no-shrink", "--workers", "2")
+    done = in_another_process(*words, "--engine", f"dask={address}", "-o", str(tmp_path / "out"))
+    assert done.returncode == 1, done.stderr
+    (record,) = (tmp_path / "out/failures").glob("*.mcap")
+    assert record.stat().st_mode & clusters.WORKERS_UMASK  # a worker may be another machine
+    with read_trace(record) as trace:
+        assert trace.span_ns()[1] > 0

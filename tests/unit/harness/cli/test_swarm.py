@@ -238,8 +238,8 @@ def test_show_works_without_rig_and_program(folder, say):
 
 def test_show_of_folders_copied_together_is_of_all(tmp_path, monkeypatch, say):
     monkeypatch.chdir(tmp_path)
-    written(tmp_path / "one").append([FOUND, failure(0)], "rows-1-of-2.jsonl")
-    written(tmp_path / "two").append([failure(1), Row(3, Result.PASSED)], "rows-2-of-2.jsonl")
+    written(tmp_path / "one").append([FOUND, failure(0)], part=(1, 2))
+    written(tmp_path / "two").append([failure(1), Row(3, Result.PASSED)], part=(2, 2))
     shutil.copytree("one", "all")
     shutil.copytree("two", "all", dirs_exist_ok=True)
     status, out, _ = say("swarm", "--show", "all")

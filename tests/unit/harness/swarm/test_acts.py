@@ -1,11 +1,12 @@
-"""Strikes of disturbances, as the row of a world counts them."""
+"""One world in this process: strikes, places of failures, chance."""
 
+import random
 from pathlib import Path
 
 import pytest
 
 from motorhil.harness.cli.main import main
-from motorhil.harness.swarm.plan import SCRIPT, Program, plan_of
+from motorhil.harness.swarm.plan import FUNCTION, SCRIPT, Program, plan_of
 from motorhil.harness.swarm.trial import tried
 from motorhil.harness.swarm.worlds.disturbance import Disturbance
 
@@ -45,3 +46,25 @@ def test_row_counts_strikes_until_the_end_of_its_run(tmp_path, monkeypatch, worl
     row = tried(plan, 1, world, tmp_path)
     assert dict(row.acts) == acts
     assert row.end_ns == 1_000_000_000
+
+
+def test_failure_in_a_library_is_at_the_line_of_the_program(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "wheels"]) == 0
+    Path("parse.py").write_text("import json\n\njson.loads('{')\n")
+    plan = plan_of(Path("wheels/rig.toml"), Program(SCRIPT, "parse.py"), (), 60.0)
+    row = tried(plan, 1, (), tmp_path)
+    assert row.signature.startswith("exception | JSONDecodeError at parse.py:3 | ")
+
+
+def test_function_has_the_chance_of_its_seed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["new", "wheels"]) == 0
+    text = "import random\nfrom motorhil import sometimes\n\n\ndef dice(rig):\n"
+    Path("chance.py").write_text(f"{text}    sometimes(True, str(random.random()))\n")
+    plan = plan_of(Path("wheels/rig.toml"), Program(FUNCTION, "chance:dice"), (), 60.0)
+    before = random.getstate()
+    one, again, other = (tried(plan, seed, (), tmp_path).met for seed in (1, 1, 2))
+    assert one == again != other
+    assert random.getstate() == before

@@ -1,5 +1,7 @@
 """Classes of events and states, and which oracles may judge a world."""
 
+from dataclasses import replace
+
 import pytest
 
 from motorhil.harness.oracles.judge import IDS
@@ -66,3 +68,11 @@ def test_sometimes_counts_what_was_true_and_what_never_was():
     properties.sometimes(False, "a stop")
     assert properties.met() == {"a retry": 2, "a stop": 0}
     properties.forget()
+
+
+def test_late_statusword_accuses_no_drive():
+    late = Disturbance(
+        "delay", "can0", (("sender", "left"), ("identifier", 0x181), ("delay_s", 0.1))
+    )
+    assert set(IDS) - set(fair((late,))) >= {"arrival-true"}
+    assert "arrival-true" in fair((replace(late, kind="drop"),))

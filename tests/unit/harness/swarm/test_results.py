@@ -3,6 +3,7 @@
 import errno
 import io
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -38,7 +39,7 @@ def test_rows_that_are_there_are_not_written_again(folder):
 
 def test_files_of_two_machines_are_one_set(folder):
     results = create(folder, PLAN)
-    results.append([row(1), row(3), row(5)], "rows-1-of-2.jsonl")
+    results.append([row(1), row(3), row(5)], part=(1, 2))
     (folder / "rows-2-of-2.jsonl").write_text(f"{row(2).as_line()}\n{row(3).as_line()}\n")
     _, again = open_results(folder)
     assert sorted(again.rows) == [1, 2, 3, 5]
@@ -113,3 +114,15 @@ def test_lane_looks_at_each_row_once(folder, monkeypatch):
         results.lane(0, seed)
         results.append([row(seed)])
     assert learned == sorted(set(learned))
+
+
+def test_rows_of_worlds_that_shared_a_process_do_not_count_later(folder):
+    results = create(folder, PLAN)
+    results.append([row(1), row(2)])
+    shown = replace(row(3), digest="other")
+    results.begin_alone(shown, (1, 1))
+    assert open_results(folder)[1].rows == results.rows == {}
+    results.append([row(3), row(1)], (2, 2))
+    _, again = open_results(folder)
+    assert (again.is_alone, again.shown_by) == (True, 3)
+    assert again.missing([1, 2, 3]) == [2]

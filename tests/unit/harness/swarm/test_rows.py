@@ -1,6 +1,7 @@
 """Rows: the results of worlds, as lines."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -68,3 +69,12 @@ def test_what_is_no_row_is_refused(line):
 )
 def test_failures_are_what_the_program_did(result, is_bad):
     assert Row(1, result).is_bad is is_bad
+
+
+def test_rows_of_a_campaign_share_values_that_repeat():
+    acts = (("drop", 1), ("delay", 2))
+    one = Row(1, Result.PASSED, ended_by="LinkError", met=(("arrived", 1),), acts=acts)
+    first, second = row_from(one.as_line()), row_from(replace(one, seed=2).as_line())
+    assert (first, second) == (one, replace(one, seed=2))
+    for name in ("ended_by", "met", "acts"):
+        assert getattr(first, name) is getattr(second, name)

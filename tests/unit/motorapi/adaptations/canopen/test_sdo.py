@@ -167,6 +167,20 @@ def test_repeated_read_answer_does_not_confirm_a_write():
     assert channel.strays == 1
 
 
+def test_repeated_read_answer_without_another_is_no_violation():
+    """A drive may repeat a frame, whose last bit is disturbed, until it is bus-off."""
+    answer = frame("582#4B07600001000000")
+
+    def peer(data: bytes) -> list[Answer]:
+        return [(1 * MS, answer)] if data[8] >> 5 in (1, 2) else []
+
+    channel = channel_to(ScriptedBus(peer))
+    channel.upload(0x6007)
+    with pytest.raises(DeadlineExceeded, match="answer to SDO 6007h:00h"):
+        channel.download(0x6007, 0, b"\x02\x00")
+    assert channel.strays == 1
+
+
 def test_repeated_segment_is_not_the_next_one():
     segments = {
         0x40: ["582#410810000A000000"],
