@@ -46,10 +46,15 @@ _NO_RPDOS = [
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # an SDO is answered afterwards
     (_SEEKING, f"{_SEEKING}\n[conformance.without]\n{_BY_SDO}"),
 ]
+_NO_TPDOS = [
+    *of_drive(f'eds = "{_without("180.", "1A0.")}"'),
+    ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # its answers come afterwards
+    ("borne_s = 0.09\n", ""),  # a wait that asks lasts longer
+]
 _CIA402 = (RIGS / "cia402.toml").read_text()
 _PROGRAMS = (READ, APART)  # no change of the rig: benches that run further programs
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402) if name not in _PROGRAMS}
-VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
+VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS, "no TPDOs": _NO_TPDOS}
 VARIANTS["no heartbeat consumer"] = [
     *of_drive(f'eds = "{_without("1016")}"'),
     (_SEEKING, _WITHOUT_CONSUMER),

@@ -255,10 +255,12 @@ def hardware_object_tells_its_drive(bench: RigProtocol) -> None:
         rest_for(bench, _LOOK_S)
         codes = [getattr(one, "code", None) for one in hardware.emergencies]
         expect(code in codes[count:], f"fault {code:04X}h: the EMCYs are {codes}")
+        hardware.refresh()
         word = hardware.statusword
         expect(word & _FAULT_BITS == _FAULT, f"fault {code:04X}h: the statusword is {word:04X}h")
         hardware.reset_fault()
         rest_for(bench, _LOOK_S)
+        hardware.refresh()
         word = hardware.statusword
         expect(word & _FAULT_BITS != _FAULT, f"reset: the statusword is still {word:04X}h")
     before = motor.position()
