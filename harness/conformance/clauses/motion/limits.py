@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from math import inf, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from motorhil.harness.conformance.bench import RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
@@ -60,10 +61,28 @@ def _expect_refused(
             f"{what}: the error lacks motor, {quantity}, value or limit: {error}",
         )
         _expect_outside(error)
+        expect_unit(error, motor)
     else:
         raise Violated(f"{what} was not refused")
     rest_for(bench, _WATCHED_S)
     expect_unmoved(bench, motor, before, f"{what} was refused")
+
+
+def expect_unit(error: LimitError, motor: Motor) -> None:
+    """Check that this error is in the unit of its quantity, for this motor's model."""
+    model, quantity = motor.model, error.quantity
+    units = {
+        "change of velocity": f"{model.unit}/s²",
+        "acceleration": f"{model.unit}/s²",
+        "velocity": f"{model.unit}/s",
+        "jerk": f"{model.unit}/s³",
+        "position": model.unit,
+        "distance": model.unit,
+        "duration": "s",
+        "current": "A",
+    }
+    unit = next((unit for name, unit in units.items() if name in quantity), error.unit)
+    expect(error.unit == unit, f"{quantity} in {error.unit}, not in {unit}: {error}")
 
 
 def _expect_outside(error: LimitError) -> None:
@@ -361,6 +380,7 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
         except (UsageError, PeerError) as error:  # in advance, or by the drive
             if isinstance(error, LimitError):
                 _expect_outside(error)
+                expect_unit(error, motor)
                 _expect_of_target(error, motor, before, target)
             expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
             continue
@@ -370,3 +390,51 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
             continue
         finish(bench, motor, shortest_s(motor, target))
         expect_at(bench, motor, before + target, f"a move of {target:g} {motor.model.unit}")
+
+
+@clause(
+    "LIM-08",
+    Level.L2,
+    source="paper 3.3.1, boundary conditions: derivatives at both ends; UnsupportedError",
+)
+def derivatives_at_ends_of_ramps_are_refused(bench: RigProtocol) -> None:
+    """Derivatives at the ends of a ramp of velocity, torque or current are refused by value."""
+    motor = bench.motor
+    found = False
+    for variable in ControlVariable:
+        if variable is ControlVariable.POSITION:
+            continue
+        if not _set_mode(motor, ControlMode.TRAJECTORY, variable):
+            continue
+        found = True
+        unit, value = motor.model.unit_of(variable), 0.05 * _usual(bench, variable)
+        rate, curve = (f"{unit}/s", f"{unit}/s²")
+        if unit.endswith("/s"):
+            rate, curve = f"{unit}²", f"{unit}³"
+        for end, (derivatives, text) in product(
+            ("initial", "final"),
+            (((0.125,), f"0.125 {rate}"), ((0.0, 0.25), f"0.25 {curve}")),
+        ):
+            stated: dict[str, Any] = {f"{end}_derivatives": derivatives}
+            ramp = TrapezoidalTrajectory(value, duration_s=1.0, **stated)
+            what = f"a ramp of {variable.value} with {end} derivatives of {derivatives}"
+            error = _error_of(partial(motor.set_trajectory, ramp))
+            expect(
+                isinstance(error, UnsupportedError) and text in f"{error}",
+                f"{what}: {error}; expected UnsupportedError with {text}",
+            )
+        zeros = TrapezoidalTrajectory(
+            value, duration_s=1.0, initial_derivatives=(0.0, 0.0), final_derivatives=(0.0,)
+        )
+        motor.set_trajectory(zeros)
+    if not found:
+        raise NotApplicable("the motor has no trajectories but those of position")
+
+
+def _error_of(operation: Callable[[], object]) -> Exception | None:
+    """Return the UsageError that ends this operation, or None."""
+    try:
+        operation()
+    except UsageError as error:
+        return error
+    return None
