@@ -1,9 +1,10 @@
 """L1: trajectories are followed at every instant."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
-from math import inf
+from math import copysign, fsum, inf
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
@@ -60,6 +61,8 @@ _AFTER_S = 0.2
 _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SOON_S = 0.02
+_LOOKS = 12
+_LOOK_S = 0.007
 _SWEEP_S = 0.5
 _STREAM_S = 0.02  # between set-points, at most
 _FAILS_S = 0.5
@@ -449,7 +452,7 @@ def led_motor_follows_its_leader(bench: RigProtocol) -> None:
         raise NotApplicable(f"no motor can lead this one: {error}") from None
     made = 0.0
     for share in (0.5, -0.25):
-        _lead(bench, leader, share * way)
+        _lead(bench, leader, share * way, led)
         rest_for(bench, _AFTER_S)
         made += share
         expect_moved(bench, led, before, _GEAR * made * way, f"its leader moved by {share:g}")
@@ -477,11 +480,31 @@ def _expect_known_leader(bench: RigProtocol, led: Motor, leader: Motor) -> None:
     finish(bench, led)
 
 
-def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:
-    """Move slowly: the position of a leader is known in steps, which a gentle brake must follow."""
+def _lead(bench: RigProtocol, leader: Motor, way: float, led: Motor | None = None) -> None:
+    """Move slowly: the position of a leader is known in steps, which a gentle brake must follow.
+
+    A motor that is led must report its velocity at half of the way.
+    """
     model = leader.model
     slow = _LEADS * model.velocity_max * min(1.0, model.deceleration / model.acceleration_max)
     follow(leader, TrapezoidalTrajectory(way, limits=DerivativeLimits(first=slow)))
+    if led is not None:
+        begun_ns = bench.runtime.now_ns()
+        while elapsed_s(bench, begun_ns) < 0.5 * abs(way) / slow:
+            leader.position()  # some are known only when they are asked
+            rest_for(bench, _SOON_S)
+        wanted, unit = copysign(_GEAR * slow, way), led.model.unit
+        told = []
+        with suppress(UnsupportedError):
+            for _ in range(_LOOKS):  # it follows in steps
+                leader.position()
+                told.append(led.velocity())
+                rest_for(bench, _LOOK_S)
+            mean = fsum(told) / _LOOKS
+            expect(
+                abs(mean - wanted) <= 0.5 * abs(wanted),
+                f"led at {wanted:g} {unit}/s, its mean velocity is {mean:g} {unit}/s",
+            )
     finish(bench, leader, shortest_s(leader, way) + abs(way) / slow)
 
 
