@@ -492,7 +492,7 @@ def _lead(bench: RigProtocol, leader: Motor, way: float, led: Motor | None = Non
         begun_ns = bench.runtime.now_ns()
         while elapsed_s(bench, begun_ns) < 0.5 * abs(way) / slow:
             leader.position()  # some are known only when they are asked
-            rest_for(bench, _SOON_S)
+            rest_for(bench, _LOOK_S)
         wanted, unit = copysign(_GEAR * slow, way), led.model.unit
         told = []
         with suppress(UnsupportedError):
