@@ -473,6 +473,8 @@ def bounds_of_start_are_sums_of_parts(_: RigProtocol) -> None:
     ]
     told = command_bound(signals).value_s
     expect(told == 2.25, f"latched by signals at 0 to 0.25 s and 2 to 2.25 s: {told} s apart")
+    told = command_bound((one, signals[1])).value_s
+    expect(told == 2.25, f"latched at once, and by a signal at 2 to 2.25 s: {told} s apart")
     _expect_reasons(one, apart)
     unbounded = Bound(None, "why")
     for bounded in (start_bound((one, other), unbounded), end_bound((one, other), unbounded)):

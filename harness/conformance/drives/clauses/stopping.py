@@ -258,6 +258,24 @@ def mode_begins_under_halt(bench: DriveBench) -> None:
         drive.expect(seen >= pace.velocity // 4, what, expected, f"{seen}", "halt stays")
         drive.command(od.ENABLE | od.HALT)
         drive.braked(pace.velocity // 4, _longest_s(pace), f"halt in {mode}")
+    if not bench.is_real and drive.has_mode(Mode.CSP):
+        _expect_held(drive)
+
+
+def _expect_held(drive: Drive) -> None:
+    """Expect a target that is written while halt is 1 to have no effect in csp."""
+    here = drive.read(od.POSITION)
+    drive.write(od.TARGET_POSITION, here)
+    drive.select(Mode.CSP)
+    beside = here + 3 * drive.window() + 3
+    drive.write(od.TARGET_POSITION, beside)
+    drive.quiet(0.2)
+    what = f"{Mode.CSP} selected while halt is 1, 607Ah = {beside}"
+    drive.near(od.POSITION, here, drive.window() + 1, what, "halt is ignored")
+    drive.command(od.ENABLE)
+    drive.write(od.TARGET_POSITION, beside)
+    drive.quiet(0.2)
+    drive.near(od.POSITION, beside, drive.window() + 1, f"607Ah = {beside} without halt")
 
 
 def _expect_hard(drive: Drive, pace: Pace, what: str) -> None:
