@@ -202,7 +202,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
-    "lean": ("PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
+    "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{
         f"quirk {name}": (killer, *_OF_QUIRKS[:2], "CSP-01", "LSW-01")

@@ -104,10 +104,10 @@ def clock_of_another_program_is_followed(bench: RigProtocol) -> None:
         rest_for(bench, _HEARD_S)
         before = bench.true_position(motor)
         error = failure_of(partial(_enabled_stream, motor, way))
-        periods = [f"{one * 1e3:g} ms" for one in (2.0 * period_s, period_s)]
+        periods = [f" {one * 1e3:g} ms" for one in (2.0 * period_s, period_s)]
         expect(
             isinstance(error, UsageError) and all(one in f"{error}" for one in periods),
-            f"another program clocks the bus every {periods[0]}: a stream every {periods[1]} ended"
+            f"another program clocks the bus every{periods[0]}: a stream every{periods[1]} ended"
             f" with {error!r}; expected UsageError with both",
         )
         rest_for(bench, _HEARD_S)
