@@ -1,17 +1,20 @@
 """L2: commands beyond a limit or capability are refused before any motion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from itertools import product
 from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
 
-from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     cubic_step,
+    elapsed_s,
     expect_at,
+    expect_moved,
     expect_raises,
     expect_unmoved,
     finish,
@@ -22,6 +25,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
@@ -42,6 +46,8 @@ _WATCHED_S = 0.2
 _BLIP_S = 0.002
 _FAR = 12.0  # long moves
 _SAME = 1e-3  # of the distance: positions before a move are measured
+_OBJECTS = "objects"
+_SLOWER = 0.5
 _OUT_OF_REACH = 1e9  # long moves: it would take years
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
@@ -438,3 +444,50 @@ def _error_of(operation: Callable[[], object]) -> Exception | None:
     except UsageError as error:
         return error
     return None
+
+
+@clause(
+    "LIM-09",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.SETTINGS},
+    source="CiA 402-2, 607Fh, 60C5h, 60C6h; LimitError: the drive would clip",
+)
+def limits_of_the_drive_are_known(bench: RigProtocol) -> None:
+    """With lower limits in a CiA 402 drive itself, a fast move is refused, or is as fast."""
+    stated, model = bench.stated(of_drive=True), bench.motor.model
+    if stated is None or _OBJECTS not in stated.declaration.keys:
+        raise NotApplicable("the drive has no objects of CiA 402")
+    if model.velocity_unit is None or model.acceleration_unit is None:
+        raise NotApplicable("the motor's model does not state the drive's units")
+    before = stated.values.get(_OBJECTS)
+    known = before if isinstance(before, Mapping) else {}
+    for name, most in (
+        ("607Fh", model.velocity_max / model.velocity_unit),
+        ("60C5h", model.acceleration_max / model.acceleration_unit),
+        ("60C6h", model.deceleration / model.acceleration_unit),
+    ):
+        limited = {_OBJECTS: {**known, name: max(1, round(_SLOWER * most))}}
+        with suppress(RigError), bench.altered({}, limited):  # it may lack the object
+            _expect_refused_or_fast(bench, f"with {name} at {_SLOWER:g} of the model's limit")
+
+
+def _expect_refused_or_fast(bench: RigProtocol, what: str) -> None:
+    """Check that the fastest move, both ways, is refused, or takes its shortest time."""
+    motor, way = bench.motor, long_move(bench)
+    motor.enable()
+    for one in (way, -way):
+        before, least_s = position_of(bench, motor), shortest_s(motor, one)
+        begun_ns = bench.runtime.now_ns()
+        try:
+            follow(motor, TrapezoidalTrajectory(one))
+        except (UsageError, PeerError):
+            expect_unmoved(bench, motor, before, f"{what}: a move was refused")
+            continue
+        finish(bench, motor, 2.0 * least_s)
+        took_s = elapsed_s(bench, begun_ns)
+        expect_moved(bench, motor, before, one, what)
+        expect(
+            took_s <= least_s + bench.facts.time_tolerance_s,
+            f"{what}: a move took {took_s:.3f} s, that was accepted as one of {least_s:.3f} s",
+        )
