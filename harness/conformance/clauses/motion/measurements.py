@@ -235,7 +235,7 @@ def _coast(bench: RigProtocol, motor: Motor) -> None:
 
 @clause(
     "MEAS-06",
-    Level.L0,
+    Level.L1,
     needs={Capability.POSITION_TRAJECTORY, Capability.VELOCITY_SET_POINT},
     bench={Ability.TRUTH, Ability.SETTINGS},
     source="Motor.position: measured position; CiA 402-2, 6064h: a counter of 32 bits wraps around",
