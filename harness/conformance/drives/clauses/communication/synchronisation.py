@@ -178,7 +178,8 @@ def identifier_of_time(bench: DriveBench) -> None:
         drive.expect(refused != 0, f"{_TIME_ID} = {wrong:08X}h, {why}", "an abort", "accepted")
     drive.set(_TIME_ID, _TIME)
     drive.set(_TIME_ID, _OTHER_TIME)
-    drive.set(_TIME_ID, _CONSUMES | _TIME)
+    drive.set(_TIME_ID, _TIME)
+    drive.write(_TIME_ID, _CONSUMES | _TIME)
     refused = drive.offer_value(_TIME_ID, _CONSUMES | _OTHER_TIME)
     drive.expect(
         refused != 0, f"{_TIME_ID}: another identifier, bit 31 = 1", "an abort", "accepted"
