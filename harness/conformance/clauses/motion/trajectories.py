@@ -658,11 +658,11 @@ def step_of_argument_is_refused_truly(bench: RigProtocol) -> None:
         except UnsupportedError as error:
             raise NotApplicable(f"no argument can lead this motor: {error}") from None
         argument.begin()
-        error = failure_of(partial(motor.wait_until_done, 2.0 * _FAILS_S))
-        expect(error is not None, f"its argument stepped by {step:g}, and done was reported")
-        if isinstance(error, LimitError):
-            expect_unit(error, motor)
-            expect(error.motor == motor.name, f"a step of the argument of {motor.name}: {error}")
+        ending = failure_of(partial(motor.wait_until_done, 2.0 * _FAILS_S))
+        expect(ending is not None, f"its argument stepped by {step:g}, and done was reported")
+        if isinstance(ending, LimitError):
+            expect_unit(ending, motor)
+            expect(ending.motor == motor.name, f"a step of the argument of {motor.name}: {ending}")
         motor.stop()
         if failure_of(partial(finish, bench, motor)) is None:  # a motor with a fault coasts
             expect_rest(bench, motor, "after its argument stepped")
