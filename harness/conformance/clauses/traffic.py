@@ -416,28 +416,26 @@ _MESSAGE: Final[dict[str, Any]] = {"can_id": 0x7FF, "length": 8, "period_s": 0.1
 _FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)  # ISO 11898-1
 
 
-def _fd_of(length: int) -> dict[str, Any]:
-    return {"length": length, "fd": True}
+def _fd_of(lengths: Sequence[int]) -> tuple[dict[str, Any], ...]:
+    return tuple({**_MESSAGE, "length": one, "fd": True} for one in lengths)
 
 
 _OTHER_LENGTHS: Final = sorted({*range(66)} - {*_FD_LENGTHS})
-_IMPOSSIBLE: Final[tuple[dict[str, Any], ...]] = tuple(
+_IMPOSSIBLE: Final[tuple[dict[str, Any], ...]] = _fd_of(_OTHER_LENGTHS) + tuple(
     {**_MESSAGE, **one}
     for one in (
         *({"can_id": -1}, {"can_id": 0x800}, {"can_id": 1 << 29, "extended": True}),
         *({"can_id": 1.5}, {"can_id": True}, {"length": 9}, {"length": -1}, {"length": None}),
-        *(_fd_of(one) for one in _OTHER_LENGTHS),
         {"bit_rate_switch": True},
         *({"period_s": 0.0}, {"period_s": 0.9e-6}, {"period_s": 1.1e6}, {"period_s": "1"}),
         *({"jitter_s": -1e-9}, {"jitter_s": 1.1e6}, {"jitter_s": float("nan")}, {"jitter_s": True}),
     )
 )
-_POSSIBLE: Final[tuple[dict[str, Any], ...]] = tuple(
+_POSSIBLE: Final[tuple[dict[str, Any], ...]] = _fd_of(_FD_LENGTHS) + tuple(
     {**_MESSAGE, **one}
     for one in (
         *({"can_id": 0}, {"length": 0}, {"period_s": 1e-6, "jitter_s": 1e6}, {"period_s": 1e6}),
         *({"can_id": 0x1FFF_FFFF, "extended": True}, {"period_s": 1}),
-        *(_fd_of(one) for one in _FD_LENGTHS),
     )
 )
 
