@@ -108,7 +108,8 @@ VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
 def of_vendor(file: Path) -> list[Change]:
     """Return the changes for drives with the object dictionary of this vendor's file."""
-    return [*of_drive(f'eds = "{file}"'), (_SEEKING, _WITHOUT_CONSUMER)]
+    watched = 'objects = { "6065h" = 20_000 }'  # some files switch the following error off
+    return [*of_drive(f'eds = "{file}"\n{watched}'), (_SEEKING, _WITHOUT_CONSUMER)]
 
 
 def text_of(changes: list[Change]) -> str:
