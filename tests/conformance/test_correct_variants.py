@@ -82,6 +82,7 @@ ONCE_ACCUSED = [
     ("slow SDO server", "LEAD-02", 1),  # its argument ran away while the drive started
     ("quirk heartbeat_jitter", "HOME-03", 4),  # the first heartbeat came after the first reading
     ("no heartbeat consumer", "PROC-11", 1),  # a reader tried to write the object that it lacks
+    ("no TPDOs", "PROC-14", 1),  # it ignored the stop of a program that had not seen it enabled
     ("brakes gently", "TIME-01", 6),  # of a load whose least urgent message waits very long
 ]
 

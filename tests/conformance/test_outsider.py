@@ -106,8 +106,8 @@ def test_outsider_tests_pass(venv):
 
 def test_outsider_conforms(venv, tmp_path):
     printed = run(venv / "motorhil", "conform", "--adaptation", "odrive", cwd=tmp_path)
-    clauses, passed = map(int, re.search(r"^(\d+) clauses: (\d+) passed", printed, re.M).groups())
-    assert passed >= 0.8 * clauses, printed
+    (passed,) = map(int, re.search(r"^\d+ clauses: (\d+) passed", printed, re.M).groups())
+    assert passed >= 155, printed  # of a package that claims no less than it does
 
 
 def test_new_drive_passes_its_tests_and_the_kit_at_once(venv, tmp_path):

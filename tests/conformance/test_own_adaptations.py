@@ -15,13 +15,15 @@ from tests.support.kit_benches import KINDS, claims, opener
 
 CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
-_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "TIME-05", "PROC-13")
+_OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "BUS-06", "TIME-05", "PROC-13")
 _OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01", "SYNC-20")
+_LED = ("LEAD-01", "LEAD-02", "LEAD-03", "LEAD-04")
+_OF_CIA402 = ("LIM-09", "MEAS-06")  # objects of the drive; a counter that ends within its reach
 _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("TRAJ-11", "TRAJ-12"),
-        *("LIM-05", "LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
+        *("LIM-05", *_LED, "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11", "FAULT-07", "TRAJ-14"),
         *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CANOPEN),
     }
@@ -29,14 +31,14 @@ _POLLED = frozenset(
 _STREAMED = frozenset(  # functions of time for positions; no common trigger, no supply switch
     {
         *("SET-07", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-12", "TRAJ-14"),
-        *("LEAD-01", "LEAD-02", "SYNC-06", "SYNC-11", "LOW-04"),
+        *(*_LED, *_OF_CIA402, "SYNC-06", "SYNC-11", "LOW-04"),
         *("HEAR-05", "SHARE-02", "PROC-14", "LOST-08", "LOW-06", "PAR-02"),
         *_OF_CANOPEN,
     }
 )
 _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of velocity and current
     {
-        *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", "LEAD-01", "LEAD-02"),
+        *("MEAS-02", "MEAS-03", "SET-04", "SET-10", "HEAR-05", *_LED, *_OF_CIA402),
         *(f"TRAJ-{number:02}" for number in (6, 7, 9, 10, 12, 14)),
         *("FAULT-07", "HOME-04"),
         *("HOME-01", "HOME-03", "LOW-03", "LOW-04", "SHARE-02", "PROC-14", "SYNC-06", "SYNC-11"),
@@ -57,42 +59,42 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
             *_OF_PROGRAMS,
-            *("OPT-04", "FIT-01", "PAR-02", "FAULT-09"),
+            *("OPT-04", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
         }
     ),
-    "dryve": _POLLED | {"MEAS-03", "PAR-02"},
+    "dryve": _POLLED | {"MEAS-03", "PAR-02", "MEAS-06"},
     "dynamixel": frozenset(  # in position mode
         {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
             *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13, 14)),
             *("FAULT-07", "HOME-04"),
-            *("LIM-05", "LEAD-01", "LEAD-02", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
+            *("LIM-05", "LIM-08", *_LED, "STOP-05", "STOP-09", "LOW-02", "SYNC-05", *_OF_CIA402),
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
             *("LOST-11", "PAR-02", "HOME-05", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
-    "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01"},
+    "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01", "LIM-09"},
     "mit": _STREAMED | {"FAULT-07"},
     "moteus": frozenset(
         {
             *("SET-04", "SET-07", "SET-10", "TRAJ-06"),  # no torque or current
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
             *("TRAJ-14", "FAULT-07"),
-            *("LEAD-01", "LEAD-02", "LIM-05", "LOST-08", "SYNC-19"),  # likewise
+            *(*_LED, *_OF_CIA402, "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "LOW-04", "SHARE-02", "PROC-14"),
             *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
             *("HEAR-05", "LOW-04", "SHARE-02"),
             *("SYNC-06", "SYNC-11", "LOW-06", "PAR-02", *_OF_CANOPEN),
         }
     ),
-    "oriental_az": _POLLED - _OF_RESTARTS | {"FIT-01"},
+    "oriental_az": _POLLED - _OF_RESTARTS | {"FIT-01", *_OF_CIA402},
     "rmd": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-01", "OPT-04"},
     "robstride": _STREAMED | {"FIT-01"},
     "software": frozenset(
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
             *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22"),  # its motors share a node
-            *("SET-05", "SYNC-05", "PAR-02", "FAULT-09"),
+            *("SET-05", "SYNC-05", "PAR-02", "FAULT-09", "MEAS-06"),
         }
     ),
     "vesc": _SAMPLED - {"LOW-03", "LOST-07"},

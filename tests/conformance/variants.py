@@ -2,6 +2,7 @@
 
 import re
 import tempfile
+from math import radians
 from pathlib import Path
 
 from motorhil.harness.conformance.benches import variations
@@ -25,14 +26,40 @@ _BY_SDO = "".join(
     f'{one} = "it has no RPDO"\n'
     for one in ("complex_position", "complex_velocity", "common_trigger")
 )
+_UNIT = "4.7599888690754445e-05"
 _FOLDER = tempfile.TemporaryDirectory()
+
+
+def _own_eds() -> str:
+    from tests.support.checkout import CHECKOUT
+
+    return (CHECKOUT / "emulators" / "eds" / "motorhil_cia402.eds").read_text()
+
+
+def _si_units() -> list[Change]:
+    """Return the changes for drives in 0.01 degree and 0.01 degree/s, and a model without them."""
+    objects = ((0x60A8, "position", 0xFE41_0000), (0x60A9, "velocity", 0xFE41_0300))  # CiA 303-2
+    path = Path(_FOLDER.name, "si_units.eds")
+    path.write_text(
+        _own_eds()
+        + "".join(
+            f"\n[{index:X}]\nParameterName=SI unit {what}\nObjectType=0x7\nDataType=0x0007\n"
+            f"AccessType=ro\nPDOMapping=0\nDefaultValue={value}\n"
+            for index, what, value in objects
+        )
+    )
+    ramps = '"6081h" = 11459, "6083h" = 22918, "6084h" = 22918, "6085h" = 40000'
+    return [
+        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps} }}'),
+        ("gear_ratio = 66.0\nencoder_increments_rev = 2000\n", ""),
+        (f"velocity_unit_rad_s = {_UNIT}\n", ""),
+        (f"unit_rad_s2 = {_UNIT}\n", f"unit_rad_s2 = {radians(0.01)!r}\n"),
+    ]
 
 
 def _without(*objects: str) -> Path:
     """Return a copy of the own drive's EDS without the objects of these patterns."""
-    from tests.support.checkout import CHECKOUT
-
-    text = (CHECKOUT / "emulators" / "eds" / "motorhil_cia402.eds").read_text()
+    text = _own_eds()
     pattern = "|".join(objects)
     sections = re.split(r"(?m)^(?=\[)", text)
     kept = [one for one in sections if not re.match(rf"\[(?:{pattern})(?:sub\w+)?\]", one)]
@@ -46,10 +73,16 @@ _NO_RPDOS = [
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # an SDO is answered afterwards
     (_SEEKING, f"{_SEEKING}\n[conformance.without]\n{_BY_SDO}"),
 ]
+_NO_TPDOS = [
+    *of_drive(f'eds = "{_without("180.", "1A0.")}"'),
+    ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # its answers come afterwards
+    ("borne_s = 0.09\n", ""),  # a wait that asks lasts longer
+]
 _CIA402 = (RIGS / "cia402.toml").read_text()
 _PROGRAMS = (READ, APART)  # no change of the rig: benches that run further programs
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402) if name not in _PROGRAMS}
-VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS}
+VARIANTS |= {"brakes gently": _GENTLY, "no RPDOs": _NO_RPDOS, "no TPDOs": _NO_TPDOS}
+VARIANTS["SI units"] = _si_units()
 VARIANTS["no heartbeat consumer"] = [
     *of_drive(f'eds = "{_without("1016")}"'),
     (_SEEKING, _WITHOUT_CONSUMER),
@@ -75,7 +108,8 @@ VENDORS = ("roboteq_v80.eds", "schunk_prl_erb_0_63.dcf", "technosoft_ipos.eds")
 
 def of_vendor(file: Path) -> list[Change]:
     """Return the changes for drives with the object dictionary of this vendor's file."""
-    return [*of_drive(f'eds = "{file}"'), (_SEEKING, _WITHOUT_CONSUMER)]
+    watched = 'objects = { "6065h" = 20_000 }'  # some files switch the following error off
+    return [*of_drive(f'eds = "{file}"\n{watched}'), (_SEEKING, _WITHOUT_CONSUMER)]
 
 
 def text_of(changes: list[Change]) -> str:

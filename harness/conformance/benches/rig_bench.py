@@ -376,8 +376,8 @@ class RigBench:
             settings = {**controllers[place].settings, **drive}
             controllers[place] = replace(controllers[place], node_id=address, settings=settings)
         self._description = replace(before, motors=motors, controllers=controllers)
-        self._restart()
         try:
+            self._restart()
             yield
         finally:
             self._description = before

@@ -45,6 +45,7 @@ _OFF: Final = 0xFFFF_FFFF
 _LOOK_S: Final = 0.2
 _VALUES: Final = (0.5, 5.0)
 _PERIOD_MS: Final = 95
+_PDO_LENGTH: Final = 0x8210  # CiA 301, EMCY: PDO not processed due to length error
 _FIRST_RPDO: Final = 0x200  # CiA 301, predefined connection set
 _RAMP_S: Final = 0.5
 
@@ -255,10 +256,12 @@ def hardware_object_tells_its_drive(bench: RigProtocol) -> None:
         rest_for(bench, _LOOK_S)
         codes = [getattr(one, "code", None) for one in hardware.emergencies]
         expect(code in codes[count:], f"fault {code:04X}h: the EMCYs are {codes}")
+        hardware.refresh()
         word = hardware.statusword
         expect(word & _FAULT_BITS == _FAULT, f"fault {code:04X}h: the statusword is {word:04X}h")
         hardware.reset_fault()
         rest_for(bench, _LOOK_S)
+        hardware.refresh()
         word = hardware.statusword
         expect(word & _FAULT_BITS != _FAULT, f"reset: the statusword is still {word:04X}h")
     before = motor.position()
@@ -277,6 +280,11 @@ def _expect_fault_outlasts_a_short_frame(bench: RigProtocol, motor: Motor, hardw
     expect(
         fault is not None and fault.code == code,
         f"fault {code:04X}h, and then a PDO of 1 byte: fault() is {fault}; expected the fault",
+    )
+    told = [f"{one}" for one in hardware.emergencies if one.code == _PDO_LENGTH]
+    expect(
+        all("PDO" in one and "length" in one for one in told),
+        f"EMCY {_PDO_LENGTH:04X}h is told as {told}; expected a PDO that has another length",
     )
     motor.reset_fault()
 

@@ -244,7 +244,12 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
     needed = {one.name for one in known.values() if one.default is one.empty} - {*own}
     if (first, second) not in (("bus", "node_id"), ("line", "unit")) or needed != {first, second}:
         return
-    for value in _NO_ADDRESS:
+    names = stated.declaration.names(motor.model.unit)
+    declared = stated.declaration.keys[names[second]].kind if second in names else None
+    beyond = [
+        value for value, limit in _outside(declared) if isinstance(value, int) and value > limit
+    ]
+    for value in (*_NO_ADDRESS, *beyond):
         made = partial(kind, bench.link, value, **own)
         error = failure_of(made)
         expect(

@@ -7,7 +7,7 @@ and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 20
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import permutations, product
 from math import ceil
 from random import Random
 from typing import Any, Final, final
@@ -379,6 +379,10 @@ def declared_traffic_is_worst_of_all(_: RigProtocol) -> None:
     fd = PeriodicMessage(0x10, 12, 0.1, fd=True, bit_rate_switch=True)
     (worst,) = worst_of([fd, replace(fd, bit_rate_switch=False, length=8), fd])
     expect(worst == replace(fd, bit_rate_switch=False), f"the worst of two is {worst}")
+    for both in permutations((replace(fd, length=8), PeriodicMessage(0x10, 8, 0.1))):
+        (worst,) = worst_of(both)
+        wanted_fd = replace(fd, length=8, bit_rate_switch=False)
+        expect(worst == wanted_fd, f"of a frame with and without FD, the worst is {worst}")
     for values in _IMPOSSIBLE:
         expect_raises(UsageError, partial(PeriodicMessage, **values), f"{values} was accepted")
     for arguments in ((999,), (1_000_001,), (True,), (500_000, (fd, fd)), (500_000, (1,))):
@@ -409,21 +413,29 @@ def _arbitration(identifier: int, extended: bool) -> str:
 
 
 _MESSAGE: Final[dict[str, Any]] = {"can_id": 0x7FF, "length": 8, "period_s": 0.1}
-_IMPOSSIBLE: Final[tuple[dict[str, Any], ...]] = tuple(
+_FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)  # ISO 11898-1
+
+
+def _fd_of(lengths: Sequence[int]) -> tuple[dict[str, Any], ...]:
+    return tuple({**_MESSAGE, "length": one, "fd": True} for one in lengths)
+
+
+_OTHER_LENGTHS: Final = sorted({*range(66)} - {*_FD_LENGTHS})
+_IMPOSSIBLE: Final[tuple[dict[str, Any], ...]] = _fd_of(_OTHER_LENGTHS) + tuple(
     {**_MESSAGE, **one}
     for one in (
         *({"can_id": -1}, {"can_id": 0x800}, {"can_id": 1 << 29, "extended": True}),
         *({"can_id": 1.5}, {"can_id": True}, {"length": 9}, {"length": -1}, {"length": None}),
-        *({"length": 9, "fd": True}, {"length": 65, "fd": True}, {"bit_rate_switch": True}),
+        {"bit_rate_switch": True},
         *({"period_s": 0.0}, {"period_s": 0.9e-6}, {"period_s": 1.1e6}, {"period_s": "1"}),
         *({"jitter_s": -1e-9}, {"jitter_s": 1.1e6}, {"jitter_s": float("nan")}, {"jitter_s": True}),
     )
 )
-_POSSIBLE: Final[tuple[dict[str, Any], ...]] = tuple(
+_POSSIBLE: Final[tuple[dict[str, Any], ...]] = _fd_of(_FD_LENGTHS) + tuple(
     {**_MESSAGE, **one}
     for one in (
         *({"can_id": 0}, {"length": 0}, {"period_s": 1e-6, "jitter_s": 1e6}, {"period_s": 1e6}),
-        *({"can_id": 0x1FFF_FFFF, "extended": True}, {"length": 64, "fd": True}, {"period_s": 1}),
+        *({"can_id": 0x1FFF_FFFF, "extended": True}, {"period_s": 1}),
     )
 )
 
@@ -466,6 +478,8 @@ def bounds_of_start_are_sums_of_parts(_: RigProtocol) -> None:
     ]
     told = command_bound(signals).value_s
     expect(told == 2.25, f"latched by signals at 0 to 0.25 s and 2 to 2.25 s: {told} s apart")
+    told = command_bound((one, signals[1])).value_s
+    expect(told == 2.25, f"latched at once, and by a signal at 2 to 2.25 s: {told} s apart")
     _expect_reasons(one, apart)
     unbounded = Bound(None, "why")
     for bounded in (start_bound((one, other), unbounded), end_bound((one, other), unbounded)):

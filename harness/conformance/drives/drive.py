@@ -176,6 +176,13 @@ class Drive:
             return int(error.code)
         return 0
 
+    def size_of(self, entry: Entry) -> int | None:
+        """Upload an object; return the number of its bytes, or None if the drive refuses it."""
+        try:
+            return len(self._sdo.upload(entry.index, entry.subindex))
+        except SdoAbortedError:
+            return None
+
     def _upload(self, entry: Entry) -> int:
         data = self._sdo.upload(entry.index, entry.subindex)
         size = struct.calcsize(entry.code)

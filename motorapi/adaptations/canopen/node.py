@@ -73,6 +73,7 @@ class CanopenNode:
         self._keeps_host_heartbeat = False
         self._watches_nmt = False
         self._was_operational = False
+        self._has_shown_state = False  # by a heartbeat since it was started, which may be older
         self._boots_known = 0
         self._heartbeat_ns = 0  # time of the last one
         self._silence: Registration | None = None
@@ -116,7 +117,9 @@ class CanopenNode:
         self.nmt_state = state
         if state == OPERATIONAL:
             self._operational_ns = time_ns
-            self._was_operational = self._was_operational or self._watches_nmt
+        if self._watches_nmt:
+            self._was_operational |= state == OPERATIONAL or self._has_shown_state
+            self._has_shown_state = True
         self.lost_since_ns = None
         self._heartbeat_ns = self.link.runtime.now_ns()
         if is_news:
@@ -159,8 +162,12 @@ class CanopenNode:
         self.news.grow()
 
     def stays_operational(self) -> None:
-        """Regard any state but OPERATIONAL as a loss, from its first OPERATIONAL heartbeat on."""
+        """Regard any state but OPERATIONAL as a loss, from its second heartbeat on.
+
+        The first one may be older than the command, unless it shows OPERATIONAL.
+        """
         self._watches_nmt = True
+        self._has_shown_state = False
         self._boots_known = self.boots
         self.news.grow()
 

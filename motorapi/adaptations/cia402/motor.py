@@ -423,7 +423,14 @@ class Cia402Motor(Motor):
             self._control.send_halt(watch)
             self._hardware.end_stream(ENABLE_OPERATION | HALT)
         else:
-            self._control.stop_once_enabled(ENABLE_OPERATION | HALT, watch)
+            self._stop_if_enabled(ENABLE_OPERATION | HALT, watch)
+
+    def _stop_if_enabled(self, word: int, watch: RestWatch) -> None:
+        """Stop a drive that was last seen without power, in case it has been enabled since."""
+        if self._node.status_is_cyclic:
+            self._control.stop_once_enabled(word, watch)
+        else:  # nobody has asked; a quick stop enables no drive
+            self._control.send_quick_stop(watch)
 
     def _watch_rest(self, *, needs_bit: bool) -> RestWatch:
         """Follow the motor until it is at rest."""
@@ -449,7 +456,7 @@ class Cia402Motor(Motor):
             self._control.send_quick_stop(watch)
             self._hardware.end_stream(QUICK_STOP)
         else:
-            self._control.stop_once_enabled(QUICK_STOP, watch)
+            self._stop_if_enabled(QUICK_STOP, watch)
 
     def _open_low_level(self) -> Cia402HwMotor:
         self._restore_parameters()

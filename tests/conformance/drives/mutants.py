@@ -8,7 +8,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from motorhil.emulators.can.frame import pack
-from motorhil.emulators.canopen import error_control, lss, pdo, pdo_mapping, sdo_server, sync
+from motorhil.emulators.canopen import (
+    error_control,
+    lss,
+    object_dictionary,
+    pdo,
+    pdo_mapping,
+    sdo_server,
+    sync,
+)
 from motorhil.emulators.canopen.codes import AbortCode
 from motorhil.emulators.canopen.emcy import CanWatch, EmcyProducer
 from motorhil.emulators.canopen.error_control import HeartbeatConsumer, HeartbeatProducer
@@ -1523,3 +1531,22 @@ def friction_of_the_output_is_the_motors(patch):
 def lateness_is_always_the_same(patch):
     """A drive with jitter is always as late as it can be."""
     patch.setattr(clock, "lateness_ns", lambda seed, due_ns, jitter_ns: jitter_ns)
+
+
+@mutant("TIME-01")
+def identifier_of_time_changes_while_it_listens(patch):
+    """1012h takes another identifier while the drive listens to TIME."""
+    patch.setattr(sync.TimeConsumer, "check", lambda self, value: 0)
+
+
+@mutant("OD-08")
+def numbers_are_sent_in_bytes_that_suffice(patch):
+    """Numbers of the object dictionary are uploaded without their leading zeros."""
+
+    def make(good):
+        def uploaded(self):
+            return good(self).rstrip(b"\0") or b"\0"
+
+        return uploaded
+
+    _wrap(patch, object_dictionary.Variable, "upload", make)

@@ -70,6 +70,10 @@ _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
     _variable("60A9", "SI unit velocity", 7, 0xFFB4_4700),  # 0.1 revolution per minute
 )
+_RADIANS: Final = (
+    _variable("60A8", "SI unit position", 7, 0xFD10_0000),  # 1 mrad
+    _variable("60A9", "SI unit velocity", 7, 0xFD10_0300),  # 1 mrad/s
+)
 _ELASTIC: Final = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
@@ -157,6 +161,10 @@ DRIVES: dict[str, str] = {
         f'eds = "{_eds("degrees", added="".join(_DEGREES))}"\n'
         'objects = { "6081h" = 333, "6083h" = 667 }'
     ),
+    "radians": (
+        f'eds = "{_eds("radians", added="".join(_RADIANS))}"\n'
+        'objects = { "6081h" = 2000, "6083h" = 4000, "6084h" = 4000, "6085h" = 8000 }'
+    ),
     "lean": (
         f'eds = "{_eds("lean", without=_LEAN)}"\n'
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
@@ -167,6 +175,7 @@ DRIVES: dict[str, str] = {
 }
 
 _OF_QUIRKS: Final = ("NMT-01", "NMT-03", "PDS-01", "PDS-03", "PP-01", "ERR-01", "PDO-07", "CSP-01")
+_QUEUED: Final = ("PP-03", "PP-06")  # the next set-point, and the rest of a move after halt
 _OF_UNITS: Final = ("VAL-01", "PV-02", "PV-03", "PP-01", "OD-01", "FAC-01", "HOME-01", "TQ-05")
 _OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
 CLAUSES: dict[str, tuple[str, ...]] = {
@@ -192,12 +201,15 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "more objects": ("VAL-02", "VAL-03", "VAL-04", "ERR-05", "ERR-06"),
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
-    "lean": ("PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
-    "legal quirks": _OF_QUIRKS,
+    "radians": _OF_UNITS,
+    "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
+    "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{
         f"quirk {name}": (killer, *_OF_QUIRKS[:2], "CSP-01", "LSW-01")
         for name, killer in DEVIATIONS.items()
     },
+    "quirk edge_only_bits": ("PP-04", *_OF_QUIRKS[:2], "CSP-01", "LSW-01", *_QUEUED),
+    "quirk stale_target_reached": ("PP-05", *_OF_QUIRKS[:2], "CSP-01", "LSW-01", *_QUEUED),
 }
 """The clauses for drives that differ in few points; all others have all clauses."""
 

@@ -8,6 +8,7 @@ from motorhil.motorapi.adaptations.cia402 import motion as drive_motions
 from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.cia402.node import DriveNode
 from motorhil.motorapi.adaptations.cia402.profile import TorqueUnit
 from motorhil.motorapi.adaptations.host_servo.motor import SoftwareMotor
 from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
@@ -494,4 +495,33 @@ def velocities_do_not_bend():
         return bend
 
     with replaced(functions, "bend_of", wrong):
+        yield
+
+
+@mutant("cia402", "LEAD-03")
+def led_velocity_is_integrated_backwards():
+    """The way of a velocity over an argument is counted against its direction."""
+
+    def wrong(travelled):
+        def backwards(motion, at):
+            return 2.0 * motion._from - travelled(motion, at)
+
+        return backwards
+
+    with replaced(StreamedMotion, "_travelled", wrong):
+        yield
+
+
+@mutant("cia402", "MEAS-06")
+def wraps_are_counted_twice():
+    """Where the counter of the drive ends, its span is added twice."""
+
+    def wrong(wrap):
+        def counted(node, step):
+            wrap(node, step)
+            wrap(node, step)
+
+        return counted
+
+    with replaced(DriveNode, "_wrap", wrong):
         yield

@@ -1,6 +1,7 @@
 """Mistakes that show only with bus errors, other programs on the bus, or large loads."""
 
 from motorhil.motorapi.adaptations.canopen.emcy import error_text
+from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
 from motorhil.motorapi.adaptations.canopen.sync import BusSync
 from motorhil.motorapi.adaptations.cia402.measurements import DriveReader
@@ -182,4 +183,19 @@ def an_answer_may_come_through_a_dead_bus():
         return lambda client: bool(client._answers) or client.booted
 
     with replaced(ChannelClient, "_is_over", wrong):
+        yield
+
+
+@mutant("software", "BUS-06")
+def node_that_was_never_seen_operational_is_up():
+    """A node that leaves OPERATIONAL before its first heartbeat there counts as started."""
+
+    def wrong(hear):
+        def heard(node, frame, time_ns):
+            node._has_shown_state = False
+            hear(node, frame, time_ns)
+
+        return heard
+
+    with replaced(CanopenNode, "_on_heartbeat", wrong):
         yield

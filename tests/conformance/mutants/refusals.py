@@ -6,6 +6,8 @@ from unittest.mock import patch
 
 from motorhil.harness.conformance.clauses import traffic
 from motorhil.motorapi import Motor, model
+from motorhil.motorapi.adaptations.cia402 import measurements
+from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.mit import frames
@@ -375,4 +377,41 @@ def list_of_methods_has_a_wrong_one():
         return homed
 
     with replaced(LeadshineHwMotor, "home", wrong):
+        yield
+
+
+@mutant("cia402", "LEAD-04")
+def step_of_an_argument_is_in_another_unit():
+    """The error about a step of an argument has its velocity in units of an acceleration."""
+
+    def wrong(beyond):
+        def told(motion, quantity, value, limit):
+            error = beyond(motion, quantity, value, limit)
+            error.unit += "²"
+            return error
+
+        return told
+
+    with replaced(StreamedMotion, "_beyond", wrong):
+        yield
+
+
+@mutant("ideal", "LIM-08")
+def derivatives_of_a_ramp_are_ignored():
+    """Derivatives at the ends of a ramp of velocity are accepted, and have no effect."""
+    with replaced(single_axis, "_require_rest_at_ends", lambda _: lambda *_: None):
+        yield
+
+
+@mutant("cia402", "LIM-09")
+def limits_of_the_drive_are_not_read():
+    """The limits of velocity and acceleration that the drive itself has are not read."""
+
+    def wrong(read):
+        def unlimited(hardware):
+            return replace(read(hardware), speed=None, acceleration=None, deceleration=None)
+
+        return unlimited
+
+    with replaced(measurements, "_read_limits", wrong):
         yield

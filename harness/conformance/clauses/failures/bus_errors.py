@@ -36,6 +36,7 @@ _BIT_ERROR_RATE = 1e-4
 _MOVES = 6
 _COMMAND_FRAMES = 4  # of a command that is confirmed
 _FRAMES = 14  # a start, and a few frames after it
+_DRIVE_FRAMES = 6
 _ERRORS = {Ability.BUS_ERRORS, Ability.AFRESH}
 
 
@@ -155,3 +156,23 @@ def command_in_bus_off_fails_at_once(bench: RigProtocol) -> None:
         )
         expect_usable(bench, motor, "after bus-off in disable()")
     reached(hit > 0, "bus-off of the host")
+
+
+@clause(
+    "BUS-06",
+    Level.L5,
+    needs={Capability.POSITION_SET_POINT},
+    bench={*_ERRORS, Ability.TRUTH},
+    source="ISO 11898-1, fault confinement: any node may be in bus-off; Sharing and locking",
+)
+def bus_off_of_drive_moves_once_or_fails(bench: RigProtocol) -> None:
+    """Whichever frame of a move puts the drive in bus-off, the move is made once or fails."""
+    hit = 0
+    for skip in range(_DRIVE_FRAMES):
+        bench.afresh()
+        motor = bench.motor
+        motor.enable()
+        strike = bench.strike(motor, _TO_BUS_OFF, skip=skip)
+        what = f"bus-off of the drive with its frame {skip + 1} of a move"
+        hit += move_through(bench, motor, strike, what)
+    reached(hit > 0, "bus-off of the drive")

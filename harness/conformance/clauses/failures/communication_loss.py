@@ -330,9 +330,11 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         expected_s, what = shortest_s(motor, way), f"all frames {identifier:03X}h lost"
         told = motor.position()
         before = begin_move(bench, motor, way, 0.3 * expected_s)
+        is_told = _is_told(bench, motor, expected_s)
         with bench.lose_identifier(identifier) as count:
             rest_for(bench, bench.facts.lost_s + bench.facts.time_tolerance_s)
-            _expect_latest_or_gone(bench, motor, told - before, what)
+            if is_told:
+                _expect_latest_or_gone(bench, motor, told - before, what)
             error = failure_of(partial(finish, bench, motor, expected_s))
             rest_for(bench, until_rest_s(bench, motor))
             with suppress(MotorError):  # else it is fresh
@@ -353,6 +355,12 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
         expect_usable(bench, motor, what)
     reached(lost > 0, "the loss of a frame")
+
+
+def _is_told(bench: RigProtocol, motor: Motor, expected_s: float) -> bool:
+    """Return whether this motor reports its motion without being asked."""
+    latest = motor.latest()
+    return latest is not None and elapsed_s(bench, latest.time_ns) < 0.2 * expected_s
 
 
 def _expect_latest_or_gone(bench: RigProtocol, motor: Motor, offset: float, what: str) -> None:

@@ -707,6 +707,7 @@ def fault_has_text_of_its_maker(bench: RigProtocol) -> None:
             motor.enable()
         bench.fail(motor, code)
         rest_for(bench, bench.facts.time_tolerance_s)
+        expect_state(motor, MotorState.FAULT, f"after fault {code:X}h")
         fault = motor.fault()
         expect(fault is not None and fault.code == code, f"fault {code:X}h is reported as {fault}")
         expect(

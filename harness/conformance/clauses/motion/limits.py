@@ -1,16 +1,20 @@
 """L2: commands beyond a limit or capability are refused before any motion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
+from itertools import product
 from math import inf, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from motorhil.harness.conformance.bench import RigProtocol
+from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     aim,
     cubic_step,
+    elapsed_s,
     expect_at,
+    expect_moved,
     expect_raises,
     expect_unmoved,
     finish,
@@ -21,6 +25,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
@@ -41,6 +46,8 @@ _WATCHED_S = 0.2
 _BLIP_S = 0.002
 _FAR = 12.0  # long moves
 _SAME = 1e-3  # of the distance: positions before a move are measured
+_OBJECTS = "objects"
+_SLOWER = 0.5
 _OUT_OF_REACH = 1e9  # long moves: it would take years
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
@@ -60,10 +67,28 @@ def _expect_refused(
             f"{what}: the error lacks motor, {quantity}, value or limit: {error}",
         )
         _expect_outside(error)
+        expect_unit(error, motor)
     else:
         raise Violated(f"{what} was not refused")
     rest_for(bench, _WATCHED_S)
     expect_unmoved(bench, motor, before, f"{what} was refused")
+
+
+def expect_unit(error: LimitError, motor: Motor) -> None:
+    """Check that this error is in the unit of its quantity, for this motor's model."""
+    model, quantity = motor.model, error.quantity
+    units = {
+        "change of velocity": f"{model.unit}/s²",
+        "acceleration": f"{model.unit}/s²",
+        "velocity": f"{model.unit}/s",
+        "jerk": f"{model.unit}/s³",
+        "position": model.unit,
+        "distance": model.unit,
+        "duration": "s",
+        "current": "A",
+    }
+    unit = next((unit for name, unit in units.items() if name in quantity), error.unit)
+    expect(error.unit == unit, f"{quantity} in {error.unit}, not in {unit}: {error}")
 
 
 def _expect_outside(error: LimitError) -> None:
@@ -361,6 +386,7 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
         except (UsageError, PeerError) as error:  # in advance, or by the drive
             if isinstance(error, LimitError):
                 _expect_outside(error)
+                expect_unit(error, motor)
                 _expect_of_target(error, motor, before, target)
             expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
             continue
@@ -370,3 +396,98 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
             continue
         finish(bench, motor, shortest_s(motor, target))
         expect_at(bench, motor, before + target, f"a move of {target:g} {motor.model.unit}")
+
+
+@clause(
+    "LIM-08",
+    Level.L2,
+    source="paper 3.3.1, boundary conditions: derivatives at both ends; UnsupportedError",
+)
+def derivatives_at_ends_of_ramps_are_refused(bench: RigProtocol) -> None:
+    """Derivatives at the ends of a ramp of velocity, torque or current are refused by value."""
+    motor = bench.motor
+    found = False
+    for variable in ControlVariable:
+        if variable is ControlVariable.POSITION:
+            continue
+        if not _set_mode(motor, ControlMode.TRAJECTORY, variable):
+            continue
+        found = True
+        unit, value = motor.model.unit_of(variable), 0.05 * _usual(bench, variable)
+        rate, curve = (f"{unit}/s", f"{unit}/s²")
+        if unit.endswith("/s"):
+            rate, curve = f"{unit}²", f"{unit}³"
+        for end, (derivatives, text) in product(
+            ("initial", "final"),
+            (((0.125,), f"0.125 {rate}"), ((0.0, 0.25), f"0.25 {curve}")),
+        ):
+            stated: dict[str, Any] = {f"{end}_derivatives": derivatives}
+            ramp = TrapezoidalTrajectory(value, duration_s=1.0, **stated)
+            what = f"a ramp of {variable.value} with {end} derivatives of {derivatives}"
+            error = _error_of(partial(motor.set_trajectory, ramp))
+            expect(
+                isinstance(error, UnsupportedError) and text in f"{error}",
+                f"{what}: {error}; expected UnsupportedError with {text}",
+            )
+        zeros = TrapezoidalTrajectory(
+            value, duration_s=1.0, initial_derivatives=(0.0, 0.0), final_derivatives=(0.0,)
+        )
+        motor.set_trajectory(zeros)
+    if not found:
+        raise NotApplicable("the motor has no trajectories but those of position")
+
+
+def _error_of(operation: Callable[[], object]) -> Exception | None:
+    """Return the UsageError that ends this operation, or None."""
+    try:
+        operation()
+    except UsageError as error:
+        return error
+    return None
+
+
+@clause(
+    "LIM-09",
+    Level.L2,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.SETTINGS},
+    source="CiA 402-2, 607Fh, 60C5h, 60C6h; LimitError: the drive would clip",
+)
+def limits_of_the_drive_are_known(bench: RigProtocol) -> None:
+    """With lower limits in a CiA 402 drive itself, a fast move is refused, or is as fast."""
+    stated, model = bench.stated(of_drive=True), bench.motor.model
+    if stated is None or _OBJECTS not in stated.declaration.keys:
+        raise NotApplicable("the drive has no objects of CiA 402")
+    if model.velocity_unit is None or model.acceleration_unit is None:
+        raise NotApplicable("the motor's model does not state the drive's units")
+    before = stated.values.get(_OBJECTS)
+    known = before if isinstance(before, Mapping) else {}
+    for name, most in (
+        ("607Fh", model.velocity_max / model.velocity_unit),
+        ("60C5h", model.acceleration_max / model.acceleration_unit),
+        ("60C6h", model.deceleration / model.acceleration_unit),
+    ):
+        limited = {_OBJECTS: {**known, name: max(1, round(_SLOWER * most))}}
+        with suppress(RigError), bench.altered({}, limited):  # it may lack the object
+            _expect_refused_or_fast(bench, f"with {name} at {_SLOWER:g} of the model's limit")
+
+
+def _expect_refused_or_fast(bench: RigProtocol, what: str) -> None:
+    """Check that the fastest move, both ways, is refused, or takes its shortest time."""
+    motor, way = bench.motor, long_move(bench)
+    motor.enable()
+    for one in (way, -way):
+        before, least_s = position_of(bench, motor), shortest_s(motor, one)
+        begun_ns = bench.runtime.now_ns()
+        try:
+            follow(motor, TrapezoidalTrajectory(one))
+        except (UsageError, PeerError):
+            expect_unmoved(bench, motor, before, f"{what}: a move was refused")
+            continue
+        finish(bench, motor, 2.0 * least_s)
+        took_s = elapsed_s(bench, begun_ns)
+        expect_moved(bench, motor, before, one, what)
+        expect(
+            took_s <= least_s + bench.facts.time_tolerance_s,
+            f"{what}: a move took {took_s:.3f} s, that was accepted as one of {least_s:.3f} s",
+        )

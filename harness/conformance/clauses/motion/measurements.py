@@ -1,5 +1,9 @@
 """L0: measured position, velocity, torque and following error are those of the motor."""
 
+from contextlib import suppress
+from functools import partial
+from math import copysign
+
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, ramp_s
@@ -7,17 +11,30 @@ from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
     expect_unmoved,
+    failure_of,
     finish,
     follow,
     long_move,
     move_exactly,
+    position_of,
     rest_for,
     shortest_s,
     torque_of,
+    turn,
 )
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
-from motorhil.motorapi import ControlVariable, DerivativeLimits, Motor, TrapezoidalTrajectory
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.motorapi import (
+    ControlVariable,
+    DerivativeLimits,
+    LimitError,
+    Motor,
+    TrapezoidalTrajectory,
+    UsageError,
+)
+from motorhil.motorapi.model import MotionKind
+from motorhil.settings import Number
 
 _VELOCITY_SHARE = 0.05
 _TORQUE_SHARE = 0.1
@@ -26,6 +43,9 @@ _SAMPLES = 10
 _SETTLED_S = 0.2
 _PUSH = 0.2  # of the largest torque
 _READINGS = 40
+_BEGIN = "initial_position_rad"
+_OUT_OF_REACH = 1e12  # rad: no counter of 32 bits has it
+_FAR = 100.0  # long moves: a range of a few turns is that of a message, which does not wrap
 
 
 @clause(
@@ -211,3 +231,72 @@ def _coast(bench: RigProtocol, motor: Motor) -> None:
         rest_for(bench, 0.1)
         if abs(bench.true_position(motor) - before) <= 0.01 * bench.facts.window:
             return
+
+
+@clause(
+    "MEAS-06",
+    Level.L1,
+    needs={Capability.POSITION_TRAJECTORY, Capability.VELOCITY_SET_POINT},
+    bench={Ability.TRUTH, Ability.SETTINGS},
+    source="Motor.position: measured position; CiA 402-2, 6064h: a counter of 32 bits wraps around",
+)
+def position_goes_on_beyond_the_counter(bench: RigProtocol) -> None:
+    """Where the counter of a drive ends, positions go on; moves there are refused, or right."""
+    stated = bench.stated(of_drive=True)
+    if stated is None or _BEGIN not in stated.declaration.keys:
+        raise NotApplicable(f"the drive cannot begin elsewhere ({_BEGIN})")
+    if bench.motor.model.kind is not MotionKind.ROTARY:
+        raise NotApplicable("the position of a linear motor is not that of its drive in rad")
+    kind, found = stated.declaration.keys[_BEGIN].kind, False
+    for sign in (1.0, -1.0):
+        end, way = _end_of_counter(bench, sign), sign * long_move(bench)
+        begin = 0.0 if end is None else end - 0.3 * way
+        if end is None or (isinstance(kind, Number) and not kind.low <= begin <= kind.high):
+            continue
+        with suppress(RigError), bench.altered({}, {_BEGIN: begin}):  # not in the drive's reach
+            if abs(bench.motor.position() - begin) > 0.01 * abs(way):
+                continue  # it counts from elsewhere, as some do from the place at power-on
+            found = True
+            _expect_across(bench, end, way)
+    if not found:
+        raise NotApplicable("no end of its counter can be reached")
+
+
+def _end_of_counter(bench: RigProtocol, sign: float) -> float | None:
+    """Return the largest position in this direction that the motor takes, by its refusal."""
+    motor = bench.motor
+    motor.enable()
+    error = failure_of(partial(follow, motor, TrapezoidalTrajectory(sign * _OUT_OF_REACH)))
+    if error is None:
+        motor.stop()
+        finish(bench, motor)
+    if not isinstance(error, LimitError):
+        return None
+    end = error.high if sign > 0.0 else error.low
+    is_counter = end is not None and _FAR * long_move(bench) < abs(end) < _OUT_OF_REACH
+    return end if is_counter else None
+
+
+def _expect_across(bench: RigProtocol, end: float, way: float) -> None:
+    """Check positions across the end of the counter, both ways, and moves beside it."""
+    motor = bench.motor
+    speed = 0.3 * motor.model.velocity_max
+    motor.enable()
+    for direction in (1.0, -1.0):
+        what = f"across the end of its counter at {end:g}, {'on' if direction > 0.0 else 'back'}"
+        watch = PositionWatch(bench, motor)
+        turn(motor, copysign(speed, direction * way))
+        for _ in range(_READINGS):
+            watch.read(what)
+            rest_for(bench, 0.7 * abs(way) / speed / _READINGS)
+        motor.stop()
+        finish(bench, motor)
+        watch.read(what)
+        watch.end(0.5 * abs(way))
+        before = position_of(bench, motor)
+        try:
+            move_exactly(bench, motor, direction * 0.1 * way, what)
+        except UsageError:  # refused
+            expect_unmoved(bench, motor, before, f"a move was refused {what}")
+            continue
+        expect_moved(bench, motor, before, direction * 0.1 * way, what, 2.0)

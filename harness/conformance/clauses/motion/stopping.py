@@ -338,6 +338,10 @@ def disable_ends_motion(bench: RigProtocol) -> None:
             break
     held = position_of(bench, motor)
     reached(held - begin > 0.05 * way, "a motion before disable()")
+    expect(
+        abs(held - begin - way) > 0.01 * way,
+        f"after disable(), the motor still made its way of {way:g} {motor.model.unit}",
+    )
     motor.enable()
     rest_for(bench, 0.5)
     expect_unmoved(bench, motor, held, "enabled again after disable() during a motion")

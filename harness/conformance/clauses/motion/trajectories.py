@@ -1,9 +1,10 @@
 """L1: trajectories are followed at every instant."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
-from math import inf
+from math import copysign, fsum, inf
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
@@ -38,12 +39,14 @@ from motorhil.harness.conformance.clauses.helpers import (
     torque_of,
     worst_deviation,
 )
+from motorhil.harness.conformance.clauses.motion.limits import expect_unit
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    LimitError,
     LinkError,
     Motor,
     MotorPosition,
@@ -58,6 +61,10 @@ _AFTER_S = 0.2
 _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SOON_S = 0.02
+_LOOKS = 12
+_LOOK_S = 0.007
+_SWEEP_S = 0.5
+_STREAM_S = 0.02  # between set-points, at most
 _FAILS_S = 0.5
 _LED_S = 2.0
 _FEW_S = 0.02  # a few samples
@@ -445,7 +452,7 @@ def led_motor_follows_its_leader(bench: RigProtocol) -> None:
         raise NotApplicable(f"no motor can lead this one: {error}") from None
     made = 0.0
     for share in (0.5, -0.25):
-        _lead(bench, leader, share * way)
+        _lead(bench, leader, share * way, led)
         rest_for(bench, _AFTER_S)
         made += share
         expect_moved(bench, led, before, _GEAR * made * way, f"its leader moved by {share:g}")
@@ -473,22 +480,45 @@ def _expect_known_leader(bench: RigProtocol, led: Motor, leader: Motor) -> None:
     finish(bench, led)
 
 
-def _lead(bench: RigProtocol, leader: Motor, way: float) -> None:
-    """Move slowly: the position of a leader is known in steps, which a gentle brake must follow."""
+def _lead(bench: RigProtocol, leader: Motor, way: float, led: Motor | None = None) -> None:
+    """Move slowly: the position of a leader is known in steps, which a gentle brake must follow.
+
+    A motor that is led must report its velocity at half of the way.
+    """
     model = leader.model
     slow = _LEADS * model.velocity_max * min(1.0, model.deceleration / model.acceleration_max)
     follow(leader, TrapezoidalTrajectory(way, limits=DerivativeLimits(first=slow)))
+    if led is not None:
+        begun_ns = bench.runtime.now_ns()
+        while elapsed_s(bench, begun_ns) < 0.5 * abs(way) / slow:
+            leader.position()  # some are known only when they are asked
+            rest_for(bench, _LOOK_S)
+        wanted, unit = copysign(_GEAR * slow, way), led.model.unit
+        told = []
+        with suppress(UnsupportedError):
+            for _ in range(_LOOKS):  # it follows in steps
+                leader.position()
+                told.append(led.velocity())
+                rest_for(bench, _LOOK_S)
+            mean = fsum(told) / _LOOKS
+            expect(
+                abs(mean - wanted) <= 0.5 * abs(wanted),
+                f"led at {wanted:g} {unit}/s, its mean velocity is {mean:g} {unit}/s",
+            )
     finish(bench, leader, shortest_s(leader, way) + abs(way) / slow)
 
 
 class _Failing:
-    """An argument at rest; from `begin` it grows with time squared, then fails with this error."""
+    """An argument at rest; from `begin` it grows with time squared, then fails with this error.
+
+    Without an error, it steps by `step` in the place of that.
+    """
 
     name = "failing argument"
     rate_max = 1.0
 
-    def __init__(self, bench: RigProtocol, error: Exception) -> None:
-        self._bench, self._error = bench, error
+    def __init__(self, bench: RigProtocol, error: Exception | None, step: float = 0.0) -> None:
+        self._bench, self._error, self._step = bench, error, step
         self._begun_ns: int | None = None
 
     def begin(self) -> None:
@@ -500,9 +530,11 @@ class _Failing:
         if self._begun_ns is None:
             return 0.0
         passed_s = elapsed_s(self._bench, self._begun_ns)
-        if passed_s > _FAILS_S:
+        if passed_s <= _FAILS_S:
+            return passed_s**2
+        if self._error is not None:
             raise self._error
-        return passed_s**2
+        return passed_s**2 + self._step
 
 
 @clause(
@@ -537,3 +569,102 @@ def failing_argument_ends_the_motion(bench: RigProtocol) -> None:
         motor.stop()
         finish(bench, motor)
         expect_rest(bench, motor, "after its argument failed")
+
+
+class _Sweep:
+    """An argument at 0; from `begin` it grows to 1 within a time, and goes on."""
+
+    name = "sweep"
+    rate_max = 1.0 / _SWEEP_S
+
+    def __init__(self, bench: RigProtocol) -> None:
+        self._bench = bench
+        self.begun_ns: int | None = None
+
+    def begin(self) -> None:
+        """Let it grow: a drive may take long to start."""
+        self.begun_ns = self._bench.runtime.now_ns()
+
+    def value(self) -> float:
+        """Return the share of the time that has passed."""
+        if self.begun_ns is None:
+            return 0.0
+        return elapsed_s(self._bench, self.begun_ns) / _SWEEP_S
+
+
+@clause(
+    "LEAD-03",
+    Level.L1,
+    needs={Capability.COMPLEX_VELOCITY},
+    bench={Ability.TRUTH},
+    source="paper 3.3.1: complex trajectories of any control variable, over any argument",
+)
+def led_velocity_is_that_of_the_function(bench: RigProtocol) -> None:
+    """A velocity over an argument is the function's, both ways, and stays at its final value."""
+    from motorhil.motorapi.functions import Polynomial
+
+    motor, model = bench.motor, bench.motor.model
+    motor.enable()
+    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    top = 0.3 * min(model.velocity_max, min(model.acceleration_max, model.deceleration) * _SWEEP_S)
+    for velocity in (top, -top):
+        sweep = _Sweep(bench)
+        rise = Polynomial((0.0, 0.0, 3.0 * velocity, -2.0 * velocity)).restricted(0.0, 1.0)
+        try:
+            motor.set_trajectory(ComplexTrajectory(rise), sweep)
+            motor.start()
+        except UnsupportedError as error:
+            raise NotApplicable(f"no argument can lead its velocity: {error}") from None
+        before = position_of(bench, motor)
+        sweep.begin()
+        rest_for(bench, 0.5 * _SWEEP_S)
+        what = "led by an argument"
+        expect(not motor.is_done(), f"{what}: done was reported at half of its range")
+        finish(bench, motor, _SWEEP_S)
+        made, passed_s = position_of(bench, motor) - before, elapsed_s(bench, sweep.begun_ns or 0)
+        wanted, unit = velocity * (passed_s - 0.5 * _SWEEP_S), model.unit
+        late_s = 2.0 * _STREAM_S + max(map(abs, bench.facts.latency_s))
+        expect(
+            abs(made - wanted) <= late_s * abs(velocity) + bench.facts.window,
+            f"{what}: moved {made:g} {unit} in {passed_s:g} s; expected {wanted:g} {unit}",
+        )
+        expect_speed(bench, motor, velocity, _AFTER_S, f"{what}, after its range")
+        motor.stop()
+        finish(bench, motor)
+
+
+@clause(
+    "LEAD-04",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH},
+    source="LimitError: value, limit, unit; Argument: one that steps moves no motor beyond a limit",
+)
+def step_of_argument_is_refused_truly(bench: RigProtocol) -> None:
+    """If its argument steps, a motion fails; an error about a limit has the quantity's unit."""
+    from motorhil.motorapi.functions import Polynomial
+
+    motor, way = bench.motor, 0.5 * long_move(bench)
+    motor.enable()
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    slow = _LEADS * motor.model.velocity_max
+    reach = 2.0 * way / slow
+    ramp = Polynomial((0.0, slow)).restricted(-reach, reach)
+    for step in (0.5 * reach, -0.5 * reach):
+        argument = _Failing(bench, None, step)
+        try:
+            motor.set_trajectory(ComplexTrajectory(ramp, relative=True), argument)
+            motor.start()
+        except UnsupportedError as error:
+            raise NotApplicable(f"no argument can lead this motor: {error}") from None
+        argument.begin()
+        ending = failure_of(partial(motor.wait_until_done, 2.0 * _FAILS_S))
+        expect(ending is not None, f"its argument stepped by {step:g}, and done was reported")
+        if isinstance(ending, LimitError):
+            expect_unit(ending, motor)
+            expect(ending.motor == motor.name, f"a step of the argument of {motor.name}: {ending}")
+        motor.stop()
+        if failure_of(partial(finish, bench, motor)) is None:  # a motor with a fault coasts
+            expect_rest(bench, motor, "after its argument stepped")
+        motor.reset_fault()
+        motor.enable()

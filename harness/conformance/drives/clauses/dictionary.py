@@ -11,6 +11,7 @@ from motorhil.harness.conformance.drives.objects import Mode
 
 _CIA_301: Final = "CiA 301, 7.2.4.3.17, SDO abort codes"
 _PROFILE: Final = 402
+_EXPEDITED: Final = 4
 _UNUSED_INDEX: Final = 0x5FFE  # manufacturer-specific; a drive that has it is asked for another
 _UNUSED_INDICES: Final = (_UNUSED_INDEX, 0x5FFA, 0x4FF7, 0x2FFB)
 _SAVE: Final = int.from_bytes(b"save", "little")
@@ -158,3 +159,21 @@ def parameters_are_stored(bench: DriveBench) -> None:
     drive.reset()
     restored = drive.read(entry)
     drive.expect(restored == default, f"{entry} after reset", f"{default}", f"{restored}")
+
+
+@drive_clause(
+    "OD-08", Level.L0, source="CiA 301, 7.4.7, data types; CiA 402-2, object descriptions"
+)
+def sizes_of_objects(bench: DriveBench) -> None:
+    """Each standard object of the drive is uploaded with the size of its data type."""
+    drive = bench.drive
+    found = 0
+    for entry in (one for one in vars(od).values() if isinstance(one, od.Entry)):
+        size = drive.size_of(entry)
+        if size is None:
+            continue
+        found += 1
+        wanted = struct.calcsize(entry.code)  # an expedited answer may leave its size open
+        is_right = size == wanted or size == _EXPEDITED > wanted
+        drive.expect(is_right, f"upload of {entry}", f"{wanted} bytes", f"{size} bytes")
+    drive.expect(found > 0, "standard objects", "some that can be read", "none")

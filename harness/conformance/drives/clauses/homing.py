@@ -108,6 +108,9 @@ def _expect_offset(bench: DriveBench, offset: int, what: str) -> None:
         f"{position}",
         f"{other}; {remedy}" if abs(position + wanted) <= drive.window() else "607Ch is ignored",
     )
+    if drive.find(od.POSITION_DEMAND) is not None:
+        cause = "6062h has another zero than 6064h"
+        drive.near(od.POSITION_DEMAND, wanted, drive.window(), f"after {what}", cause)
 
 
 def scale(bench: DriveBench, pace: Pace) -> float:

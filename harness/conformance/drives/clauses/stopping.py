@@ -13,6 +13,7 @@ _QUICK_STOP: Final = "CiA 402-2 / IEC 61800-7-201, quick stop option code 605Ah"
 _HOST: Final = 0x7C
 _CONSUMER_MS: Final = 100
 _SLOW: Final = 4
+_HELD_S: Final = 0.3
 _TORQUE: Final = 60  # [1/1000 of 6076h]
 _RAMPS: Final = (od.DECELERATION, od.QUICK_DECELERATION)
 
@@ -258,6 +259,24 @@ def mode_begins_under_halt(bench: DriveBench) -> None:
         drive.expect(seen >= pace.velocity // 4, what, expected, f"{seen}", "halt stays")
         drive.command(od.ENABLE | od.HALT)
         drive.braked(pace.velocity // 4, _longest_s(pace), f"halt in {mode}")
+    if not bench.is_real and drive.has_mode(Mode.CSP):
+        _expect_held(drive)
+
+
+def _expect_held(drive: Drive) -> None:
+    """Expect a target that is written while halt is 1 to have no effect in csp."""
+    drive.select(Mode.CSP)
+    drive.quiet(_HELD_S)
+    here = drive.read(od.POSITION)
+    beside = here + 3 * drive.window() + 3
+    drive.write(od.TARGET_POSITION, beside)
+    drive.quiet(_HELD_S)
+    what = f"{Mode.CSP} selected while halt is 1, 607Ah = {beside}"
+    drive.near(od.POSITION, here, drive.window() + 1, what, "halt is ignored")
+    drive.command(od.ENABLE)
+    drive.write(od.TARGET_POSITION, beside)
+    drive.quiet(_HELD_S)
+    drive.near(od.POSITION, beside, drive.window() + 1, f"607Ah = {beside} without halt")
 
 
 def _expect_hard(drive: Drive, pace: Pace, what: str) -> None:

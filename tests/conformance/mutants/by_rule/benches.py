@@ -5,6 +5,7 @@ On the benches of drives, the clauses for drives judge the emulated drive alone.
 Everything here is imported late: a changed module must be imported in its place.
 """
 
+import sys
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ VARIANTS: Final = (
     *("linear axis", "inverted polarity", "inverted velocities", "brakes gently", "only pp"),
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
-    "position limits in the drive",
+    *("position limits in the drive", "no TPDOs", "SI units"),
 )
 VARIED: Final = {
     "cia402": (
@@ -43,6 +44,8 @@ _FEW: Final = (
     *("LOST-07", "LOST-13", "PAR-01"),
 )
 """The clauses on further variations, since all others say nothing new."""
+OUTSIDERS: Final = ("new drive", "odrive")
+"""Adaptations of packages: they keep most defaults of the bases, which our own replace."""
 _OF: Final = "cia402: "
 _DRIVE: Final = "drive: "
 
@@ -55,7 +58,7 @@ def names() -> tuple[str, ...]:
 
     variants = (f"{_OF}{one}" for one in VARIANTS)
     varied = (f"{kind}: {name}" for kind, names in VARIED.items() for name in names)
-    return (*KINDS, *variants, *varied, *(f"{_DRIVE}{one}" for one in DRIVES))
+    return (*KINDS, *OUTSIDERS, *variants, *varied, *(f"{_DRIVE}{one}" for one in DRIVES))
 
 
 def is_of_drive(name: str) -> bool:
@@ -101,12 +104,43 @@ def opener(name: str) -> Any:
     kind, _, variation = name.partition(": ")
     if variation in VARIED.get(kind, ()):
         return Target(Job(kind)).opener(None, variation)
+    if name in OUTSIDERS:
+        return _outsider(name)
     if not variation:
         return kit_benches.opener(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "rig.toml")
         path.write_text(variants.text_of(variants.VARIANTS[name.removeprefix(_OF)]))
         described = bench_description(read_rig(path, installed_plugins()), "cia402")
+    return lambda: RigBench(described, 1)
+
+
+def _outsider(name: str) -> Any:
+    """Return an opener of the bench of a package, which is not installed."""
+    import motorhil.harness.examples.new_drive as new_drive
+    from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
+    from motorhil.harness.rig.config.rig_file import read_rig
+    from motorhil.harness.rig.rig import installed_plugins
+    from tests.support.outsider_source import OUTSIDER
+
+    rig = Path(new_drive.__file__).with_name("rig.toml")
+    text, adaptation = rig.read_text(), "motorhil.harness.examples.new_drive.host:build"
+    if name == "odrive":
+        sources = str(OUTSIDER / "src")
+        if sources not in sys.path:
+            sys.path.append(sources)
+        rig = Path(sources, "motorhil_odrive", "rig.toml")
+        adaptation = "motorhil_odrive.host.build:build"
+        text = rig.read_text().replace(
+            'kind = "odrive"', 'kind = "motorhil_odrive.emulated.build:build"'
+        )
+        text = text.replace('adaptation = "odrive"', f'adaptation = "{adaptation}"')
+    model = next(rig.parent.glob("*model.toml"))
+    text = text.replace(f'"{model.name}"', f'"{model}"')
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "rig.toml")
+        path.write_text(text)
+        described = bench_description(read_rig(path, installed_plugins()), adaptation)
     return lambda: RigBench(described, 1)
 
 

@@ -133,7 +133,8 @@ class _Finder(MetaPathFinder):
 
 def import_afresh(changes: dict[str, Change]) -> None:
     """Forget the packages of this project, and import these sources changed from now on."""
-    names = [name for name in sys.modules if name.partition(".")[0] == "motorhil"]
+    own = ("motorhil", "motorhil_odrive")
+    names = [name for name in sys.modules if name.partition(".")[0] in own]
     names += [name for name in sys.modules if name.startswith(("tests.support", "tests.conf"))]
     for name in names:
         if not name.startswith("tests.conformance.mutants"):

@@ -46,6 +46,11 @@ def mapping_procedure(bench: DriveBench) -> None:
         _refused(drive, parameter, cob_id ^ 1, _VALUE, "while it is valid")
         _refused(drive, count, 0, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
         _refused(drive, entry, mapped.mapped, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
+        inhibit = Entry(first, 3, "H", "inhibit time")
+        kept = drive.find(inhibit) if first == 0x1800 else None
+        if kept is not None:
+            _refused(drive, inhibit, kept + 1, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
+            drive.write(inhibit, kept)
         for wrong in (241, 251):
             _refused(drive, kind, wrong, _VALUE, "a reserved type")
         if first == 0x1400:

@@ -1,4 +1,4 @@
-"""SYNC with a counter, with a window, and from the drive; remote requests; watched RPDOs."""
+"""SYNC with a counter, a window, and from the drive; TIME; remote requests; watched RPDOs."""
 
 import struct
 from itertools import pairwise
@@ -24,6 +24,10 @@ _CYCLE: Final = Entry(0x1006, 0, "I", "communication cycle period")
 _WINDOW: Final = Entry(0x1007, 0, "I", "synchronous window length")
 _OVERFLOW: Final = Entry(0x1019, 0, "B", "synchronous counter overflow value")
 _SYNC_START: Final = Entry(0x1800, 6, "B", "SYNC start value")
+_TIME_ID: Final = Entry(0x1012, 0, "I", "COB-ID TIME")
+_TIME, _OTHER_TIME = 0x100, 0x6A0
+_CONSUMES: Final = 1 << 31
+_29_BITS: Final = 1 << 29
 _RPDO_TIMER: Final = Entry(0x1400, 5, "H", "event timer")
 _COUNTS, _START_AT, _EVERY = 4, 3, 2
 _PERIOD_US, _WINDOW_US = 20_000, 5_000
@@ -159,6 +163,31 @@ def sync_window(bench: DriveBench) -> None:
         seen = drive.state()
         drive.expect(seen is state, what, f"{expected}: {state}", f"{seen}", "1007h is ignored")
     drive.set(_WINDOW, 0)
+
+
+@drive_clause("TIME-01", Level.L4, source="CiA 301, 7.5.2.10, COB-ID time stamp object 1012h")
+def identifier_of_time(bench: DriveBench) -> None:
+    """1012h takes an identifier of 11 bits, which is kept while the drive listens by bit 31."""
+    drive = bench.drive
+    drive.require(_TIME_ID)
+    for wrong, why in (
+        (_TIME | _29_BITS, "bit 29, but no identifier of 29 bits"),
+        (0x601, "the identifier of an SDO"),
+    ):
+        refused = drive.offer_value(_TIME_ID, wrong)
+        drive.expect(refused != 0, f"{_TIME_ID} = {wrong:08X}h, {why}", "an abort", "accepted")
+    drive.set(_TIME_ID, _TIME)
+    drive.set(_TIME_ID, _OTHER_TIME)
+    drive.set(_TIME_ID, _TIME)
+    drive.write(_TIME_ID, _CONSUMES | _TIME)
+    refused = drive.offer_value(_TIME_ID, _CONSUMES | _OTHER_TIME)
+    drive.expect(
+        refused != 0, f"{_TIME_ID}: another identifier, bit 31 = 1", "an abort", "accepted"
+    )
+    drive.near(_TIME_ID, _CONSUMES | _TIME, 0, "after a refused identifier")
+    for same in (_CONSUMES | _TIME, _TIME, _OTHER_TIME, _CONSUMES | _OTHER_TIME):
+        drive.write(_TIME_ID, same)
+    drive.write(_TIME_ID, _TIME)
 
 
 @drive_clause("PDO-08", Level.L4, source="CiA 301, 7.5.2.37: TPDO 252 and 253, bit 30 of 1800h:1")
