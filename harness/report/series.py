@@ -9,6 +9,7 @@ highest value is lost. Arrays are packed as base64 of deflated bytes, sorted by 
 import base64
 import zlib
 from array import array
+from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
@@ -75,6 +76,19 @@ class Track:
         self.times_ns = array("q", times.tobytes())
         self.values = array("d", values.tobytes())
 
+    def since(self, time_ns: int) -> "Track":
+        """Return a copy from the last time not after `time_ns` on; times must ascend.
+
+        All points with that last time are in it: two of them are a step.
+        """
+        part = Track(self.held)
+        begin = bisect_right(self.times_ns, time_ns)
+        if begin:
+            begin = bisect_left(self.times_ns, self.times_ns[begin - 1])
+        part.times_ns, part.values = self.times_ns[begin:], self.values[begin:]
+        part.last = self.last
+        return part
+
     def sorted(self) -> "tuple[NDArray[int64], NDArray[float64]]":
         """Return times and values by time; equal times keep their order."""
         import numpy as np
@@ -119,6 +133,18 @@ class Steps:
         self.times_ns.append(time_ns)
         self.codes.append(code)
         return True
+
+    def since(self, time_ns: int) -> "Steps":
+        """Return a copy from the last change not after `time_ns` on."""
+        begin = len(self.times_ns)
+        while begin > 0:
+            begin -= 1
+            if self.times_ns[begin] <= time_ns:
+                break
+        part = Steps()
+        part.times_ns, part.codes = self.times_ns[begin:], self.codes[begin:]
+        part.last = self.last
+        return part
 
 
 def share(count: int, total: int, budget: int) -> int:
