@@ -80,7 +80,7 @@ def document_of(
     ]
     document: Json = {
         **head_of(trace, found, title, packer),
-        "motors": [_motor(m, packer, points, points_max) for m in motors],
+        "motors": [motor_table(m, packer, points, points_max) for m in motors],
         "timelines": [timeline_table(one, packer) for one in timelines_of(found, motors, span_ns)],
         "groups": groups_table(found.rig.groups, found.groups, packer),
         "traffic": traffic,
@@ -201,7 +201,8 @@ def notes_of(trace: Trace, found: Findings) -> list[str]:
 # -------------------------------------------------------------------------------------- motors
 
 
-def _motor(motor: Motor, packer: Packer, points: int, points_max: int) -> Json:
+def motor_table(motor: Motor, packer: Packer, points: int, points_max: int) -> Json:
+    """Return a motor with packed plots, its share of `points` reduced to one of `points_max`."""
     return {
         "name": motor.name,
         "about": motor.about,
@@ -216,19 +217,22 @@ def _plot(plot: Plot, packer: Packer, points: int, points_max: int) -> Json:
         "quantity": plot.quantity,
         "unit": plot.unit,
         "missing": plot.missing,
-        "lines": [_line(line, packer, points, points_max) for line in plot.lines],
+        "lines": [
+            line_table(line, packer, share(len(line.times_ns), points, points_max))
+            for line in plot.lines
+        ],
     }
 
 
-def _line(line: Line, packer: Packer, points: int, points_max: int) -> Json:
-    count = len(line.times_ns)
-    times, values = extremes(line.times_ns, line.values, share(count, points, points_max))
+def line_table(line: Line, packer: Packer, points: int) -> Json:
+    """Return a line with about this number of points packed, or all if there are fewer."""
+    times, values = extremes(line.times_ns, line.values, points)
     return {
         "name": line.name,
         "role": line.role,
         "source": line.source,
         "held": line.held,
-        "points": count + line.omitted,
+        "points": len(line.times_ns) + line.omitted,
         "t": packer.times(times),
         "v": packer.numbers(values),
     }

@@ -356,9 +356,13 @@ class Packer:
         with np.errstate(over="ignore"):
             return {**self._add("f32", (values - base).astype("<f4")), "base": base}
 
+    def data(self) -> bytes:
+        """Return all arrays."""
+        return b"".join(self._parts)
+
     def text(self) -> str:
         """Return all arrays as one text."""
-        return base64.b64encode(zlib.compress(b"".join(self._parts), 7)).decode("ascii")
+        return base64.b64encode(zlib.compress(self.data(), 7)).decode("ascii")
 
     def _add(self, kind: str, array: "NDArray[integer[object]] | NDArray[float64]") -> Packed:  # type: ignore[type-var]
         import numpy as np

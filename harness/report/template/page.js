@@ -288,30 +288,13 @@ function fromHash() {
   return true;
 }
 
-async function start() {
-  const begun = performance.now();
+// Makes all sections of the report anew, without their data being drawn.
+function compose() {
   readTheme();
-  await unpack();
   head();
   build();
   responses();
   list();
   layout();
   redrawn.forEach((draw) => draw());
-  listen();
-  view.from = view.to = NaN;
-  whole_range();
-  fromHash();
-  past.length = 0;
-  layout(); // a scroll bar may have appeared
-  paint(true);
-  const root = document.documentElement;
-  root.dataset.panels = panels.length;
-  root.dataset.loadMs = (performance.now() - begun).toFixed(1);
-  root.dataset.state = "ready";
 }
-
-start().catch((error) => {
-  fail(String(error));
-  make("p", $("notes"), `The page cannot be drawn: ${error.message}`);
-});
