@@ -118,6 +118,7 @@ _VERBS: Final = (
         "motorhil.harness.cli.report",
         reads=("file",),
     ),
+    _Verb("view", "watch a recording while it grows, on a page", "motorhil.harness.cli.view"),
     _Verb(
         "identify",
         "find inertia and friction of a motor in its recording",

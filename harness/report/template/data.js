@@ -41,12 +41,12 @@ function whole(told) {
   return out;
 }
 
-function seconds(told) {
+function seconds(told, tick_s = time.tick_s) {
   const ticks = whole(told), out = new Float64Array(ticks.length);
   let sum = 0;
   for (let i = 0; i < ticks.length; i++) {
     sum = told.delta ? sum + ticks[i] : ticks[i];
-    out[i] = sum * time.tick_s;
+    out[i] = sum * tick_s;
   }
   return out;
 }

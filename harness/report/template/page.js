@@ -120,11 +120,11 @@ function motorSections() {
     show();
   }
   $("filter").hidden = false;
-  $("filter").addEventListener("input", () => {
+  $("filter").oninput = () => {
     const words = $("filter").value.toLowerCase();
     for (const element of holder.querySelectorAll(".motor")) element.hidden = !element.dataset.motor.toLowerCase().includes(words);
     redraw();
-  });
+  };
 }
 
 function summaryOf(motor) {
@@ -176,6 +176,7 @@ function rangeChanged() {
   if (document.activeElement !== $("from")) $("from").value = (view.from + shift).toFixed(places);
   if (document.activeElement !== $("to")) $("to").value = (view.to + shift).toFixed(places);
   redraw();
+  document.dispatchEvent(new Event("range"));
   clearTimeout(rangeChanged.timer);
   rangeChanged.timer = setTimeout(() => {
     const hash = `#t=${(view.from + shift).toFixed(9)},${(view.to + shift).toFixed(9)}`;
