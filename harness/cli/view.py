@@ -1,9 +1,11 @@
 """The verb `view`: a page on loopback that shows a recording while it grows."""
 
 import argparse
+import signal
 import sys
 import threading
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from motorhil.harness.cli.main import PASSED
@@ -15,6 +17,7 @@ from motorhil.harness.cli.options import (
     whole,
 )
 from motorhil.harness.cli.printable import teller
+from motorhil.harness.cli.processes import STOPPING
 from motorhil.harness.cli.report import add_bit_rates
 from motorhil.traces.errors import TraceError
 
@@ -97,11 +100,19 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _wait() -> None:
-    """Wait for Ctrl-C."""
+    """Wait for Ctrl-C or SIGTERM, also where a shell made the process ignore Ctrl-C."""
+    before = {number: signal.signal(number, _stop) for number in STOPPING}
     try:
         threading.Event().wait()
     except KeyboardInterrupt:
         return
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 def _session(trace: "Trace", options: argparse.Namespace, title: str) -> "Session":

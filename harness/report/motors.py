@@ -9,11 +9,11 @@ its demand minus its actual position.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.harness.report.buses import Place, Told
 from motorhil.harness.report.collect import Findings
-from motorhil.harness.report.series import Track, difference, differences
+from motorhil.harness.report.series import Track, difference, differences, shortest_step_ns
 from motorhil.traces.decoding.attached_rig import MotorFacts
 
 if TYPE_CHECKING:
@@ -23,8 +23,21 @@ if TYPE_CHECKING:
 QUANTITIES: Final = ("position", "velocity", "following error", "torque")
 _SAME: Final = 0.01
 _TRAVEL_INC: Final = 1_000.0
-Scale = tuple[float | None, str]
-"""Increments in one rad or m, None if unknown, and their origin as a text."""
+
+
+@final
+class Scale(NamedTuple):
+    """What the whole recording says of one motor.
+
+    Attributes:
+        increments: increments in one rad or m; None: unknown.
+        origin: their origin as a text.
+        step_ns: the shortest distance of two samples of its truth [ns]; None: there are none.
+    """
+
+    increments: float | None
+    origin: str
+    step_ns: int | None
 
 
 @final
@@ -148,14 +161,14 @@ def _motor(
     state = found.states.get(facts.name, {})
     unit = _unit(facts, truth, bool(state))
     known = None if scales is None else scales.get(facts.name)
-    scale, scale_text = _scale(facts, truth, unit) if known is None else known
+    scale = _scale(facts, truth, unit) if known is None else known
     builder = _Builder(facts, unit, scale)
     builder.add_state(state)
     builder.add_truth(truth)
     if told is not None:
         builder.add_told(told)
     about = f"{place[0]} node {place[1]}" if place is not None and told is not None else ""
-    return Motor(facts.name, about, place, told, builder.plots(), scale_text, truth.get("state"))
+    return Motor(facts.name, about, place, told, builder.plots(), scale.origin, truth.get("state"))
 
 
 def _truth_of(found: Findings, facts: MotorFacts) -> dict[str, Track]:
@@ -173,11 +186,15 @@ def _scale(facts: MotorFacts, truth: dict[str, Track], unit: str) -> Scale:
     """Return the increments in one rad or m according to the truth, with their origin."""
     measured = _measured(truth)
     given = facts.increments_per_unit
+    demand = truth.get("demand_inc")
+    step_ns = None if demand is None else shortest_step_ns(demand.sorted()[0])
     if measured is not None and (given is None or abs(given / measured - 1.0) > _SAME):
-        return measured, f"1 {unit} is {measured:,.2f} increments, from the truth's position"
+        text = f"1 {unit} is {measured:,.2f} increments, from the truth's position"
+        return Scale(measured, text, step_ns)
     if given is not None:
-        return given, f"1 {unit} is {given:,.2f} increments, by {facts.model or 'its model'}"
-    return None, "the recording does not give the increments in one rad or m"
+        text = f"1 {unit} is {given:,.2f} increments, by {facts.model or 'its model'}"
+        return Scale(given, text, step_ns)
+    return Scale(None, "the recording does not give the increments in one rad or m", step_ns)
 
 
 def _measured(truth: dict[str, Track]) -> float | None:
@@ -205,10 +222,11 @@ if TYPE_CHECKING:
 class _Builder:
     """Builder of the plots of one motor."""
 
-    def __init__(self, facts: MotorFacts, unit: str, scale: float | None) -> None:
+    def __init__(self, facts: MotorFacts, unit: str, scale: Scale) -> None:
         self._facts = facts
         self._unit = unit
-        self._scale = scale
+        self._scale = scale.increments
+        self._step_ns = scale.step_ns
         self._plots: dict[tuple[str, str], Plot] = {}
         self._roles: set[tuple[str, str]] = set()
 
@@ -273,7 +291,7 @@ class _Builder:
         name = f"{topic}.demand_inc"
         points = times, values, demand.omitted
         self._line("position", "rad", "demand", "demand (drive)", name, False, points)
-        points = times, differences(times, wanted / self._scale), demand.omitted
+        points = times, differences(times, wanted / self._scale, self._step_ns), demand.omitted
         told = f"slope of {name}"
         self._line("velocity", "rad/s", "demand", "demand (slope)", told, True, points)
 

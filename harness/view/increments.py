@@ -185,7 +185,7 @@ class Increments:
             for m, motor in enumerate(motors)
             for p, plot in enumerate(motor.plots)
             for n, line in enumerate(plot.lines)
-            if len(line.times_ns) and int(line.times_ns[-1]) > self._until_ns
+            if len(line.times_ns) and int(line.times_ns[-1]) >= self._until_ns
         ]
         told: list[Json] = []
         limit = NEWS_POINTS // max(1, len(fresh))

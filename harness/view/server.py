@@ -8,7 +8,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from secrets import token_urlsafe
-from socket import AF_INET, AF_INET6
+from socket import AF_INET, AF_INET6, SO_SNDBUF, SOL_SOCKET
 from threading import Semaphore, Thread
 from typing import Final, final
 from urllib.parse import parse_qs, urlsplit
@@ -21,6 +21,7 @@ PAGES_MAX: Final = 16
 _QUIET_S: Final = 15.0  # after which a comment keeps the connection open
 _STALLED_S: Final = 20.0  # after which a page that takes nothing loses its connection
 _RETRY_MS: Final = 500
+_BUFFER_BYTES: Final = 65_536  # of events that wait for a slow page
 
 
 @final
@@ -139,6 +140,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             self.close_connection = True
+            self.connection.setsockopt(SOL_SOCKET, SO_SNDBUF, _BUFFER_BYTES)
             self.send_response(HTTPStatus.OK)
             self.send_header("Content-Type", "text/event-stream; charset=utf-8")
             self.send_header("Connection", "close")
@@ -160,8 +162,8 @@ class _Handler(BaseHTTPRequestHandler):
                 problem = source.problem.replace("\n", " ")
                 self.wfile.write(f"event: problem\ndata: {problem}\n\n".encode())
                 return
-            elif not source.is_stopped:
-                self.wfile.write(b":\n\n")
-            if source.is_over and not source.events(position, 0.0):
+            elif source.is_over:
                 self.wfile.write(b"event: over\ndata: \n\n")
                 return
+            elif not source.is_stopped:
+                self.wfile.write(b":\n\n")

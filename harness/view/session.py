@@ -31,7 +31,7 @@ _NEVER: Final = -(1 << 62)
 @final
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is known of a record before its messages.
+    """Facts of a record that are known before its messages.
 
     Attributes:
         title: title of the page.

@@ -63,7 +63,7 @@ class Source:
     def events(self, position: str | None, longest_s: float) -> list[Event]:
         """Return the events after a position, or one with the whole picture.
 
-        Wait for up to `longest_s` [s] until there is one.
+        Wait for up to `longest_s` [s] until there is one. After the end there are none.
 
         Args:
             position: what a page has already; None: nothing.
@@ -74,7 +74,7 @@ class Source:
             while not self._stopped.is_set():
                 found = self._events(position)
                 left_s = end_s - time.monotonic()
-                if found or left_s <= 0.0 or self.problem:
+                if found or left_s <= 0.0 or self.problem or self.is_over:
                     return found
                 self._changed.wait(left_s)
         return []

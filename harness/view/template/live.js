@@ -1,5 +1,5 @@
 // The live page: events from the server, the range that follows them, pause and trigger.
-const live = { state: "connecting", follows: true, moving: false, source: null, stopped: false, queue: Promise.resolve(), overviewAt: 0, events: 0 };
+const live = { link: "connecting", told: "connecting", why: "", follows: true, moving: false, queue: Promise.resolve(), overviewAt: 0, events: 0 };
 const WINDOWS = [1, 2, 5, 10, 30, 60, 300, Infinity];
 
 // Whole pictures and news come as deflated text: the length of the JSON, the JSON, the arrays.
@@ -9,24 +9,30 @@ async function opened(text) {
   return JSON.parse(new TextDecoder().decode(all.subarray(4, 4 + size)));
 }
 
-function says(state, text = state) {
-  if (live.state === state && $("state").textContent === text) return;
-  live.state = document.documentElement.dataset.live = state;
-  $("state").textContent = text;
+// Tells the state of the connection, and why the picture stands still if it does.
+function tell(link = live.link, told = live.link === link ? live.told : link) {
+  live.link = link;
+  live.told = told;
+  const stands = !live.follows, lost = link === "reconnecting" || link === "failed";
+  document.documentElement.dataset.live = stands && !lost && link !== "complete" ? "paused" : link;
+  const text = stands ? [live.why, link === "live" ? "" : told].filter(Boolean).join("; ") : told;
+  if ($("state").textContent !== text) $("state").textContent = text;
 }
 
-function follow(from_user = true) {
+function follow() {
   live.follows = true;
   $("pause").setAttribute("aria-pressed", "false");
-  says(live.source ? "live" : "complete", live.source ? "live" : "complete: the whole record is here");
-  if (from_user) { drawTables(); followEnd(); }
+  tell();
+  drawTables();
+  followEnd();
 }
 
 function pause(why = "paused") {
   if (!live.follows) return;
   live.follows = false;
+  live.why = why;
   $("pause").setAttribute("aria-pressed", "true");
-  says("paused", why);
+  tell();
 }
 
 function followEnd() {
@@ -39,7 +45,7 @@ function followEnd() {
 function takePicture(told) {
   const first = report === null, open = new Map(), focused = document.activeElement ? document.activeElement.id : "";
   for (const one of document.querySelectorAll("#charts > section")) open.set(one.id, one.querySelector("details").open);
-  const top = scrollY;
+  const top = scrollY, until = SPAN, known = new Set(first ? [] : report.incidents.list.slice(-200).map((one) => one.slice(1).join()));
   clearPicture();
   adopt(told);
   compose();
@@ -59,6 +65,9 @@ function takePicture(told) {
   if (words) find(words);
   scrollTo(0, top);
   if (focused && $(focused)) $(focused).focus({ preventScroll: true });
+  const { list: all, kinds } = report.incidents;
+  notice(first ? [] : all.filter((one) => one[0] * time.tick_s > until - 1e-3 && !known.has(one.slice(1).join()))
+    .map(([at, severity, kind, place, text]) => ({ at: at * time.tick_s, severity, kind: kinds[kind], place, text })));
 }
 
 function clearPicture() {
@@ -76,12 +85,17 @@ function takeNews(told) {
   addToList(fresh);
   const now = performance.now();
   if (now - live.overviewAt > 1000) { live.overviewAt = now; drawOverview.curve = null; }
+  notice(fresh);
+}
+
+// Stops the picture at the first new incident that is the trigger; tells of errors.
+function notice(fresh) {
   const hit = fresh.find(isTrigger);
   if (hit && live.follows) {
     followEnd();
     drawTables();
-    show(hit.at);
     pause(`stopped at ${timeText(hit.at, 1e-3)}: ${hit.kind}, ${hit.text}`);
+    show(hit.at);
   }
   for (const one of fresh) if (one.severity === 2) $("alarm").textContent = `${timeText(one.at, 1e-3)} ${one.kind}: ${one.text}`;
 }
@@ -124,23 +138,26 @@ async function receive(kind, event) {
   if (kind === "whole") takePicture(told); else takeNews(told);
   report.messages = told.messages;
   document.documentElement.dataset.position = event.lastEventId;
-  if (live.follows && live.state !== "live") follow(false);
+  if (live.link === "connecting" || live.link === "reconnecting") tell("live");
   drawEvent();
 }
 
 function connect() {
-  const source = live.source = new EventSource("events" + location.search);
+  const source = new EventSource("events" + location.search);
   for (const kind of ["whole", "more"]) {
     source.addEventListener(kind, (event) => { live.queue = live.queue.then(() => receive(kind, event)).catch((error) => { fail(String(error)); }); });
   }
-  const end = (state, text) => { live.queue = live.queue.then(() => { live.source.close(); live.source = null; says(state, text); }); };
+  const end = (link, text) => {
+    source.close();
+    live.queue = live.queue.then(() => tell(link, text));
+  };
   source.addEventListener("over", () => end("complete", "complete: the whole record is here"));
   source.addEventListener("problem", (event) => end("failed", event.data));
   source.addEventListener("error", () => {
-    if (source.readyState === EventSource.CLOSED) says("failed", "the server refuses this page: open the address that motorhil printed");
-    else if (live.source) says("reconnecting", "connection lost; trying again");
+    if (source.readyState === EventSource.CLOSED) tell("failed", "the server refuses this page: open the address that motorhil printed");
+    else tell("reconnecting", "connection lost; trying again");
   });
-  source.addEventListener("open", () => { if (live.state === "reconnecting") { if (live.follows) says("live"); else says("paused"); } });
+  source.addEventListener("open", () => { if (live.link === "reconnecting") tell("live"); });
 }
 
 function begin() {
@@ -155,12 +172,12 @@ function begin() {
   $("pause").addEventListener("click", () => { if (live.follows) pause(); else follow(); });
   $("find").addEventListener("input", () => find($("find").value));
   $("report").href = "report" + location.search;
-  document.addEventListener("range", () => { if (!live.moving && report && live.source) pause(); });
+  document.addEventListener("range", () => { if (!live.moving && report && live.link !== "complete") pause(); });
   KEYS[" "] = () => { if (live.follows) pause(); else follow(); };
   KEYS.l = KEYS.End = () => follow();
   KEYS["/"] = () => $("find").focus();
   buildTables();
-  says("connecting");
+  tell();
   connect();
 }
 
