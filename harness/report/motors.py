@@ -27,7 +27,7 @@ _TRAVEL_INC: Final = 1_000.0
 
 @final
 class Scale(NamedTuple):
-    """What the whole recording says of one motor.
+    """Scale of one motor, as the whole recording tells it.
 
     Attributes:
         increments: increments in one rad or m; None: unknown.

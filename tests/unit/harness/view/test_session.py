@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from motorhil.harness.view import increments
 from motorhil.harness.view.session import PERIOD_NS, Session, Subject
 from motorhil.traces.schema import MOTOR_LOCK, LockAction
-from tests.support.live_page import Page
 from tests.support.recordings.handmade import MS, Recorded, S
+from tests.support.view.page_model import Page
 
 _TICK_S = 1e-7  # more than two ticks of a recording of minutes
 

@@ -6,7 +6,7 @@ import pytest
 
 from motorhil.harness.view import increments
 from tests.support.browser import Browser, chromium
-from tests.support.growing import Growing, free_port, served
+from tests.support.view.growing import free_port, served
 
 pytestmark = pytest.mark.wall
 
@@ -29,11 +29,6 @@ def browser(tmp_path_factory):
         pytest.skip("chromium is not installed: apt-get install chromium")
     with Browser(tmp_path_factory.mktemp("profile")) as one:
         yield one
-
-
-@pytest.fixture
-def growing(demo, tmp_path):
-    return Growing(tmp_path / "growing.mcap", demo)
 
 
 @pytest.fixture

@@ -6,16 +6,10 @@ import pytest
 
 from motorhil.harness.view import server as view_server
 from motorhil.harness.view.stream import Event
-from tests.support.growing import TOKEN, Events, Growing, free_port, get, served
-from tests.support.live_page import Page
-from tests.unit.harness.conftest import demo  # noqa: F401
+from tests.support.view.growing import TOKEN, Events, free_port, get, served
+from tests.support.view.page_model import Page
 
 pytestmark = pytest.mark.wall
-
-
-@pytest.fixture
-def growing(demo, tmp_path):  # noqa: F811
-    return Growing(tmp_path / "growing.mcap", demo)
 
 
 def event(fields):
@@ -54,7 +48,7 @@ def test_other_sites_are_refused(growing):
         assert get(server.port, f"/?token={TOKEN}", Origin=own)[0] == 200
 
 
-def test_complete_file_is_one_picture_and_its_end(demo):  # noqa: F811
+def test_complete_file_is_one_picture_and_its_end(demo):
     with served(demo) as server, Events(server.port) as events:
         first, last, end = events.next(), events.next(), events.next()
         assert (first["event"], end) == ("whole", None)
