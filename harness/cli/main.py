@@ -118,7 +118,13 @@ _VERBS: Final = (
         "motorhil.harness.cli.report",
         reads=("file",),
     ),
-    _Verb("view", "watch a recording while it grows, on a page", "motorhil.harness.cli.view"),
+    _Verb(
+        "view",
+        "watch a recording, a rig or a live bus on a page",
+        "motorhil.harness.cli.view",
+        takes_rest=True,
+        is_terminal=True,
+    ),
     _Verb(
         "identify",
         "find inertia and friction of a motor in its recording",

@@ -84,7 +84,7 @@ def get(port, path, **headers):
 class Events:
     """The events of a page, as a browser reads them; a context manager that leaves."""
 
-    def __init__(self, port, position=None, room=None):
+    def __init__(self, port, position=None, room=None, token=TOKEN):
         """Ask for the events after a position; `room` limits what waits in this process [bytes]."""
         self._socket = socket.socket()
         self._socket.settimeout(60)
@@ -92,7 +92,7 @@ class Events:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
         self._socket.connect(("127.0.0.1", port))
         again = f"Last-Event-ID: {position}\r\n" if position else ""
-        head = f"GET /events?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n{again}\r\n"
+        head = f"GET /events?token={token} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n{again}\r\n"
         self._socket.sendall(head.encode())
         self._file = self._socket.makefile("rb")
         self.status = int(self._file.readline().split()[1])

@@ -49,6 +49,7 @@ class Page:
 
     def __init__(self):
         self.kinds = []
+        self.messages = 0
 
     def take(self, event):
         told, arrays = opened(event)
