@@ -109,8 +109,8 @@ def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Non
         print(f"page: {address}", file=sys.stderr, flush=True)
         yield
         if stays:
-            print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
             with suppress(KeyboardInterrupt):
+                print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
                 server.wait()
     finally:
         server.terminate()

@@ -157,7 +157,10 @@ function connect() {
     if (source.readyState === EventSource.CLOSED) tell("failed", "the server refuses this page: open the address that motorhil printed");
     else tell("reconnecting", "connection lost; trying again");
   });
-  source.addEventListener("open", () => { if (live.link === "reconnecting") tell("live"); });
+  source.addEventListener("open", () => {
+    if (report === null) tell("connecting", "waiting for the first message");
+    else if (live.link === "reconnecting") tell("live");
+  });
 }
 
 function begin() {
