@@ -45,6 +45,8 @@ def test_period_is_that_of_the_latest_messages_jitter_of_all():
     assert (row["period_s"], row["jitter_s"]) == (0.01025, 0.001)
     (row,) = bus.take([61]).rows()
     assert (row["count"], row["period_s"], row["jitter_s"]) == (6, 0.020, 0.010)
+    (row,) = bus.take([71]).rows()
+    assert (row["period_s"], row["jitter_s"]) == (0.010, 0.010)
 
 
 def test_bytes_that_differ_from_the_row_before_are_marked():
