@@ -124,6 +124,8 @@ function addToList(fresh) {
 // Draws after an event: a stopped picture stays as it is, except for the overview.
 function drawEvent() {
   $("now").textContent = timeText(SPAN, 1e-3);
+  const length = [...document.querySelectorAll("#facts div")].find((one) => one.firstChild.textContent === "length");
+  if (time.kind !== "order") length.lastChild.textContent = `${short(SPAN, 6)} s`;
   const root = document.documentElement;
   root.dataset.state = "ready";
   root.dataset.panels = panels.length;
