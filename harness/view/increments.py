@@ -27,7 +27,8 @@ from motorhil.harness.report.document import (
 )
 from motorhil.harness.report.motors import Motor, Scale, motors_of, scales_of
 from motorhil.harness.report.series import STRETCH_NS, Packer, Track, cell_width_ns, share
-from motorhil.harness.report.timelines import Timeline
+from motorhil.harness.report.timelines import owner_text
+from motorhil.traces.semantics.ownership import LockEvent, ownership_of
 
 POINTS_MAX: Final = 150_000
 """Points of quantities in the whole picture, and at most as many in news after it."""
@@ -37,7 +38,6 @@ NEWS_POINTS: Final = 4_000
 """Points of quantities in one event with news."""
 CELL_NS: Final = STRETCH_NS << 9
 """The shortest stretch over which messages are summed: 64 ms."""
-_LOCKS: Final = 1  # the place of the locks among the timelines
 
 
 @final
@@ -114,7 +114,7 @@ class Increments:
         motors = self.motors = motors_of(found, self._scales)
         points = sum(len(line.times_ns) for m in motors for p in m.plots for line in p.lines)
         timelines = timelines_of(found, motors, span_ns)
-        self.owners = _owners(timelines[_LOCKS], span_ns)
+        self.owners = _owners(found.locks)
         told: Json = {
             "time": time_table(found, packer),
             "motors": [motor_table(one, packer, points, POINTS_MAX) for one in motors],
@@ -203,7 +203,7 @@ class Increments:
         has_locks = len(found.locks) != self._locks
         lines = timelines_of(part if has_locks else replace(part, locks=[]), motors, span_ns)
         if has_locks:
-            self.owners |= _owners(lines[_LOCKS], span_ns)
+            self.owners = _owners(found.locks)
         told: list[Json] = []
         for line in lines:
             for row in line.rows:
@@ -252,10 +252,10 @@ def _widths(found: Findings) -> dict[str, int]:
     return widths
 
 
-def _owners(locks: Timeline, end_ns: int) -> dict[str, str]:
-    """Return the present owner of each motor, "" without one."""
+def _owners(events: list[LockEvent]) -> dict[str, str]:
+    """Return the present owner of each motor with lock events, "" without one."""
     owners: dict[str, str] = {}
-    for row in locks.rows:
-        own = [bar for bar in row.bars if not bar.waits]
-        owners[row.name] = locks.words[own[-1].word] if own and own[-1].to_ns >= end_ns else ""
-    return owners
+    for motor, tenures in ownership_of(events).tenures.items():
+        held = [one for one in tenures if one.to_ns is None]
+        owners[motor] = owner_text(held[-1].program, held[-1].pid, held[-1].owner) if held else ""
+    return {event.motor: "" for event in events} | owners

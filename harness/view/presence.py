@@ -47,17 +47,34 @@ def presence_of(
     return rows
 
 
-def latest_faults(incidents: Iterable[Incident], names: Iterable[str]) -> dict[str, str]:
-    """Return the latest warning or error in whose text or place each name occurs as a word."""
-    known = {name: f" {name} " for name in names}
-    found: dict[str, str] = {}
+def latest_faults(
+    found: Findings, incidents: Iterable[Incident], rows: list[Json]
+) -> dict[str, str]:
+    """Return the latest warning or error about each row, by its name.
+
+    Incidents name a motor, a controller, or a node of their bus.
+    """
+    known = {str(row["name"]): _aliases(found, row) for row in rows}
+    faults: dict[str, str] = {}
     for one in incidents:
         if one.severity is not Severity.INFO:
             words = f" {one.place} {one.text} ".replace(":", " ").replace(",", " ")
-            for name, word in known.items():
-                if word in words:
-                    found[name] = f"{one.time_ns / 1e9:.3f} s {one.kind}: {one.text}"
-    return found
+            for name, (bus, aliases, node) in known.items():
+                is_named = any(f" {alias} " in words for alias in aliases)
+                if is_named or (one.place == bus and node and f" {node} " in words):
+                    faults[name] = f"{one.time_ns / 1e9:.3f} s {one.kind}: {one.text}"
+    return faults
+
+
+def _aliases(found: Findings, row: Json) -> tuple[str, tuple[str, ...], str]:
+    """Return the bus, the names of the motor and its controller, and the node's number."""
+    name = str(row["name"])
+    bus, _, node = str(row["place"]).rpartition(" ")
+    facts = found.rig.motors.get(name)
+    controller = None if facts is None else facts.controller
+    if controller is None and node.isdecimal():
+        controller = found.names.nodes.get((bus, int(node)))
+    return bus, (name,) if controller is None else (name, controller), f"node {node}"
 
 
 def _row(

@@ -176,7 +176,7 @@ class Session:
         now_ns = found.end_ns - found.begin_ns
         rows = presence_of(found, self._increments.motors, self._increments.owners, now_ns)
         fresh = found.incidents.kept() if every else found.incidents.since(self._incidents)
-        self._faults |= latest_faults(fresh, [str(row["name"]) for row in rows])
+        self._faults |= latest_faults(found, fresh, rows)
         for row in rows:
             row["fault"] = self._faults.get(str(row["name"]), "")
         return {"presence": rows, "identifiers": self._identifiers.take(found.traffics(), every)}

@@ -34,7 +34,7 @@ def test_positions_before_the_kept_events_have_none():
 
 
 def test_events_beyond_the_byte_limit_are_dropped():
-    one = stream(10, bytes_max=14)
+    one = stream(10, bytes_max=12)
     assert one.after("8-x") is None
     assert [event.data for event in one.after("9-x")] == ["data 10"]
 
