@@ -119,6 +119,13 @@ _VERBS: Final = (
         reads=("file",),
     ),
     _Verb(
+        "view",
+        "watch a recording, a rig or a live bus on a page",
+        "motorhil.harness.cli.view",
+        takes_rest=True,
+        is_terminal=True,
+    ),
+    _Verb(
         "identify",
         "find inertia and friction of a motor in its recording",
         "motorhil.harness.cli.identify",

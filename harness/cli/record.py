@@ -4,11 +4,13 @@ import argparse
 import json
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import real, whole
 from motorhil.harness.cli.progress import StatusLine
+from motorhil.harness.cli.viewing import CHUNK_S, add_view, page_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--compact", action="store_true", help="a third of the size; not readable by Foxglove"
     )
+    add_view(parser)
     parser.add_argument("--force", action="store_true", help="overwrite existing recordings")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = "Ctrl-C ends the recording; the file is readable, however it ends."
@@ -75,6 +78,10 @@ def run(options: argparse.Namespace) -> int:
     """
     from motorhil.harness.recording.sources import PlaceError
 
+    if options.view and (options.rotate_mib or options.rotate_s):
+        text = "--view shows one file; omit --rotate-mib and --rotate-s"
+        print(f"motorhil record: {text}", file=sys.stderr)
+        return WRONG_USAGE
     with ExitStack() as cleanup:
         try:
             taps, names, own_times = _open(options, cleanup)
@@ -146,8 +153,15 @@ def _record(
         rotate_ns=_scaled(options.rotate_s, _NS),
         overwrite=options.force,
     )
-    pump = Pump(names, series)
-    loop = RecordingLoop(taps, pump, own_times, _report)
+    if options.view:
+        cleanup.enter_context(
+            page_of(Path(options.output), ", ".join(options.on), options.view_port, stays=False)
+        )
+        pump = Pump(names, series, round(CHUNK_S * _NS))
+        loop = RecordingLoop(taps, pump, own_times, _report, CHUNK_S)
+    else:
+        pump = Pump(names, series)
+        loop = RecordingLoop(taps, pump, own_times, _report)
     signals = cleanup.enter_context(StopSignals(loop))
     buses = ", ".join(f"{name} ({text})" for name, text in zip(names, options.on, strict=True))
     print(f"recording {buses}; Ctrl-C ends it", file=sys.stderr, flush=True)

@@ -5,13 +5,14 @@ import code
 import shlex
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_seed, time_ns
 from motorhil.harness.cli.printable import teller
+from motorhil.harness.cli.viewing import add_pace, add_view, chunk_ns, page_of, record_for
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.script import (
@@ -40,8 +41,8 @@ the script.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `run`."""
     parser.usage = (
-        "motorhil run [-h] [--realtime] [--seed N] [--until S] [--world FILE] [-o FILE] RIG "
-        "[SCRIPT [ARGS ...]] [-- ARGS ...]"
+        "motorhil run [-h] [--realtime] [--pace X] [--view] [--seed N] [--until S] [--world FILE] "
+        "[-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
     parser.epilog = _EPILOG
     parser.add_argument(
@@ -57,6 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--realtime", action="store_true", help="run at most as fast as the wall clock"
     )
+    add_pace(parser)
+    add_view(parser)
     add_seed(parser)
     parser.add_argument(
         "--until",
@@ -89,27 +92,42 @@ def run(options: argparse.Namespace) -> int:
     script = None if options.script is None else read_script(options.script)
     if script is None and words:
         raise RigError(options.rig, "arguments, but no script to take them", "name a script")
-    rig = Rig.open(
-        options.rig,
-        seed=options.seed,
-        realtime=options.realtime,
-        record=options.output,
-        world=options.world,
-    )
+    pace = 1.0 if options.realtime else options.pace
+    with record_for(options.output, options.view) as target, ExitStack() as cleanup:
+        rig = Rig.open(
+            options.rig,
+            seed=options.seed,
+            record=target,
+            world=options.world,
+            pace=pace,
+            chunk_ns=chunk_ns(pace, options.view),
+        )
+        if options.view and target is not None:
+            cleanup.callback(rig.close)
+            cleanup.enter_context(
+                page_of(target, rig.description.name, options.view_port, stays=True)
+            )
+        status = _run(options, rig, script, words)
+        if status != PASSED and script is not None:
+            print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
+    return status
+
+
+def _run(
+    options: argparse.Namespace, rig: "Rig", script: Script | None, words: Sequence[str]
+) -> int:
+    """Run what was asked for, and close the rig; return the exit status."""
     for note in rig.notes:
         print(note, file=sys.stderr)
     end = _End(rig, options.until)
     try:
         if script is None and rig.description.programs:
             return _run_programs(rig)
-        status = run_judged(rig, script, words, "run")
+        return run_judged(rig, script, words, "run")
     except KeyboardInterrupt:
         if not end.is_reached:
             raise
-        status = PASSED
-    if status != PASSED and script is not None:
-        print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
-    return status
+        return PASSED
 
 
 def _run_programs(rig: "Rig") -> int:
@@ -153,6 +171,8 @@ def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -
     command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
     if options.realtime:
         command.append("--realtime")
+    if options.pace is not None:
+        command += ["--pace", f"{options.pace:g}"]
     if options.until is not None:
         command += ["--until", f"{options.until / 1e9:.9g}"]
     if options.world is not None:

@@ -23,6 +23,7 @@ from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGatew
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed
 from motorhil.harness.cli.processes import StopSignals
+from motorhil.harness.cli.viewing import add_view, chunk_ns, page_of, record_for
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
 from motorhil.harness.replay.device_node import KIND as RECORDED
 from motorhil.harness.replay.verdict import summary, unanswered
@@ -88,6 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "move the motors",
     )
     add_seed(parser)
+    add_view(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
     )
@@ -104,7 +106,19 @@ def run(options: argparse.Namespace) -> int:
         print("motorhil serve: no command after --; name one, or omit --", file=sys.stderr)
         return WRONG_USAGE
     with ExitStack() as cleanup:
-        rig = cleanup.enter_context(Rig.open(options.rig, seed=options.seed, record=options.output))
+        target = cleanup.enter_context(record_for(options.output, options.view))
+        rig = cleanup.enter_context(
+            Rig.open(
+                options.rig,
+                seed=options.seed,
+                record=target,
+                chunk_ns=chunk_ns(1.0, options.view),
+            )
+        )
+        if options.view and target is not None:
+            cleanup.enter_context(
+                page_of(target, rig.description.name, options.view_port, stays=False)
+            )
         for note in rig.notes:
             print(note, file=sys.stderr)
         _require_endpoint(rig, options)

@@ -14,7 +14,7 @@ from motorhil.harness.recording.writer import Pump
 from motorhil.traces.mcap.chunk import Entry
 from motorhil.traces.schema import Level
 
-_IDLE_S: Final = 0.25
+IDLE_S: Final = 0.25
 _POLL_S: Final = 0.01
 _PAUSE_S: Final = 0.003
 _QUIET_S: Final = 0.05  # after this silence the hub holds nothing back for this connection
@@ -37,6 +37,7 @@ class RecordingLoop:
         pump: Pump,
         own_times: bool,
         report: Callable[[str], None] | None = None,
+        idle_s: float = IDLE_S,
     ) -> None:
         """Set up the loop without reading anything.
 
@@ -45,6 +46,7 @@ class RecordingLoop:
             pump: receives the frames.
             own_times: the log times are not wall time, so events are stamped like frames.
             report: called immediately with the text of each problem.
+            idle_s: longest time between two rounds [s].
         """
         self.problems: list[str] = []
         self._taps = list(taps)
@@ -52,6 +54,7 @@ class RecordingLoop:
         self._pump = pump
         self._own_times = own_times
         self._report = report
+        self._idle_s = idle_s
         self._woken_by: list[int] = []
 
     @property
@@ -82,7 +85,7 @@ class RecordingLoop:
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
         while self._alive and not stopped():
-            wait_s = _IDLE_S
+            wait_s = self._idle_s
             if any(tap.fileno() == POLLED for tap in self._alive):
                 wait_s = _POLL_S
             if end_s is not None:

@@ -36,7 +36,7 @@ from motorhil.traces.schema import (
 )
 
 PERIOD_NS: Final = 20_000_000
-_HAND_OVER_NS: Final = CHUNK_NS // 4  # how long frames wait to be packed in bulk; divides a second
+_HAND_OVER_NS: Final = CHUNK_NS // 4  # how long frames wait to be packed in bulk, at most
 _NEVER: Final = 1 << 62
 
 Reading = tuple[float | None, float | None, float | None]
@@ -123,6 +123,8 @@ class Recorder:
         """
         self.error: TraceError | None = None
         self._writer = writer
+        self._chunk_ns = writer.chunk_ns
+        self._wait_ns = min(_HAND_OVER_NS, writer.chunk_ns)
         self._kinds: dict[str, str] = dict(kinds or {})
         self._period_ns = period_ns
         self._lines = tuple(lines)
@@ -296,9 +298,9 @@ class Recorder:
     def _hand_over(self, time_ns: int) -> None:
         """Pass pending messages to the writer, and start a new second if one has begun."""
         self._write(time_ns)
-        self._hand_over_ns = (time_ns // _HAND_OVER_NS + 1) * _HAND_OVER_NS
+        self._hand_over_ns = (time_ns // self._wait_ns + 1) * self._wait_ns
         if time_ns >= self._due_ns:
-            self._due_ns = (time_ns // CHUNK_NS + 1) * CHUNK_NS
+            self._due_ns = (time_ns // self._chunk_ns + 1) * self._chunk_ns
             self._unwritten = True
             self._arm()
 

@@ -65,8 +65,15 @@ class Pump:
         first_ns, last_ns: the earliest and latest recorded time [ns]; None if nothing is recorded.
     """
 
-    def __init__(self, buses: Sequence[str], sink: Sink) -> None:
-        """Set up an empty recording; `sink` must have the sources that `opener` creates."""
+    def __init__(self, buses: Sequence[str], sink: Sink, flush_ns: int = FLUSH_NS) -> None:
+        """Set up an empty recording.
+
+        Args:
+            buses: names of the buses.
+            sink: must have the sources that `opener` creates.
+            flush_ns: longest time for which entries wait to be written [ns].
+        """
+        self._flush_ns = flush_ns
         self.frames: list[int] = [0] * len(buses)
         self.dropped: list[int] = [0] * len(buses)
         self.first_ns: int | None = None
@@ -117,9 +124,9 @@ class Pump:
         self._record([(-self._events, time_ns, encode_log(time_ns, level, text, name))], time_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Write out entries that have waited for one second. Raises TraceError like `take`."""
+        """Write out entries that have waited for long enough. Raises TraceError like `take`."""
         since = self._unwritten_since_ns
-        if since is not None and not 0 <= now_ns - since < FLUSH_NS:
+        if since is not None and not 0 <= now_ns - since < self._flush_ns:
             self._unwritten_since_ns = None
             self._hand_over()
             self._sink.flush()

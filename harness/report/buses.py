@@ -21,7 +21,7 @@ from motorhil.harness.report.incidents import KEPT, Incidents, Severity
 from motorhil.harness.report.series import STRETCH_NS, Steps, Track, cell_width_ns, cells
 from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.attached_rig import RecordedNames
-from motorhil.traces.decoding.can_errors import ControllerState, bus_error
+from motorhil.traces.decoding.can_errors import BusError, ControllerState, bus_error
 from motorhil.traces.decoding.canopen import NMT_STATES, CanopenDecoder, usual_name
 from motorhil.traces.decoding.cia402 import STATES, UNKNOWN_STATE, state_number
 from motorhil.traces.decoding.events import DecodedEvent, Kind
@@ -139,6 +139,16 @@ class Traffic:
         self.times_ns.append(time_ns)
         self.keys.append(key)
         self.weights.append(weight)
+
+    def latest(self, frames: int) -> "Traffic":
+        """Return the latest entries, at most this number of frames; cells are not in it."""
+        count = max(0, min(frames, len(self.times_ns) - len(self.counts)))
+        begin = len(self.times_ns) - count
+        part = replace(self, counts=array("q"), width_ns=0, frames=count)
+        part.times_ns, part.keys, part.weights = (
+            one[begin:] for one in (self.times_ns, self.keys, self.weights)
+        )
+        return part
 
     def arrays(self) -> "tuple[NDArray[int64], ...]":
         """Return times, keys, weights and counts of all entries, in order of arrival."""
@@ -391,12 +401,15 @@ class _Beat:
             self._gaps.append(time_ns - self.last_ns)
         self.last_ns = time_ns
 
+    def period_ns(self) -> int | None:
+        """Return the usual distance of two heartbeats [ns]; None: not known yet."""
+        period_ns = sorted(self._gaps)[len(self._gaps) // 2] if len(self._gaps) > 1 else 0
+        return period_ns if period_ns > 0 else None
+
     def missing_since(self, time_ns: int) -> int | None:
         """Return when the first of several missing heartbeats was due [ns]; None: none misses."""
-        if len(self._gaps) < 2:
-            return None
-        period_ns = sorted(self._gaps)[len(self._gaps) // 2]
-        if period_ns <= 0 or time_ns - self.last_ns <= _MISSING * period_ns:
+        period_ns = self.period_ns()
+        if period_ns is None or time_ns - self.last_ns <= _MISSING * period_ns:
             return None
         return self.last_ns + period_ns
 
@@ -413,6 +426,9 @@ class CanBus:
         doubts: number of possible emergencies on a bus without other signs of CANopen; the first
             of them are reported after the first sign.
         is_timed: True if the log times are times, not numbers of messages.
+        contents: the latest frame of each label, by its number.
+        heard: the time of the latest frame of each sender [ns].
+        controllers: the latest error message of each sender.
     """
 
     def __init__(
@@ -450,6 +466,9 @@ class CanBus:
         self._is_canopen = False
         self.is_timed = True
         self.doubts: int = 0
+        self.contents: dict[int, bytes] = {}
+        self.heard: dict[str, int] = {}
+        self.controllers: dict[str, BusError] = {}
         self._doubtful: list[tuple[int, Severity, str]] = []
 
     def take(self, time_ns: int, payload: bytes) -> None:
@@ -460,6 +479,7 @@ class CanBus:
         """
         frame, _, sender = self._frames.decode(payload)
         can_id, length = _HEAD.unpack_from(frame)
+        self.heard[sender] = time_ns
         bits = self._recorded.take(time_ns, frame, sender)
         if bits is None:
             if not can_id & ERR:
@@ -487,6 +507,10 @@ class CanBus:
         for node, beat in self._beats.items():
             self._note_missing(node, beat, end_ns)
 
+    def heartbeats(self) -> dict[int, tuple[int, int | None]]:
+        """Return the time of the latest heartbeat and the period [ns] of each node."""
+        return {node: (beat.last_ns, beat.period_ns()) for node, beat in self._beats.items()}
+
     # ----------------------------------------------------------------------------------- load
 
     def _weigh(self, time_ns: int, can_id: int, frame: bytes, bits: tuple[int, int]) -> None:
@@ -502,6 +526,7 @@ class CanBus:
                 data = round(data * rate / data_rate)
             elif not data_rate:
                 self.switched += 1
+        self.contents[key] = frame
         self.traffic.add(time_ns, key, nominal + data)
 
     def subject(self, by_priority: frozenset[str]) -> Subject | None:
@@ -707,7 +732,10 @@ class CanBus:
 
     def _error(self, time_ns: int, frame: bytes, sender: str) -> None:
         said = self._decoder.decode(frame, sender)
-        state = bus_error(frame).state
+        error = bus_error(frame)
+        state = error.state
+        if state is not None or error.counters is not None:
+            self.controllers[sender] = error
         level = _LEVELS.get(state, Severity.WARNING)
         kind = "bus error" if state is None else "state of a CAN controller"
         self._incidents.add(time_ns, level, kind, self._name, said.text)

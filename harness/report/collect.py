@@ -8,8 +8,9 @@ recording. States, locks and incidents are limited in number.
 import re
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Final, final
 
 from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, SerialLine, Traffic
@@ -25,8 +26,8 @@ from motorhil.harness.report.series import (
 )
 from motorhil.traces.decoding.attached_rig import RecordedNames, RigFacts, facts_of, names_of
 from motorhil.traces.decoding.narrative import Describe
-from motorhil.traces.mcap.reader import Trace
-from motorhil.traces.mcap.records import Channel
+from motorhil.traces.mcap.reader import Trace, TraceMessage
+from motorhil.traces.mcap.records import Attachment, Channel
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import (
     CAN_FRAME,
@@ -51,11 +52,12 @@ DRAWN: Final = (
     *("position_inc", "demand_inc", "following_error_inc", "state"),
 )
 """The quantities of a truth that are drawn, for each of its channels."""
+BOUND: Final = 1 << 16
+"""Messages between two calls of `Collector.bound`."""
 LOCKS_MAX: Final = 100_000
 GROUPS_MAX: Final = 20_000
 _CHANNEL: Final = re.compile(r"channel_\d+_")
 _ROWS: Final = 4_096  # messages of one channel decoded at once
-_BOUND: Final = 1 << 16  # messages between two looks at the limits
 _COMPARED: Final = (0x6062, 0x6064)  # demand and actual position: their difference is drawn
 _BAD_ACTIONS: Final = {
     LockAction.REFUSED: "lock refused",
@@ -180,42 +182,91 @@ def collect(
     Raises:
         TraceError: the recording is damaged.
     """
-    found = Findings(facts_of(trace.attachments), names_of(trace.attachments))
-    found.rig.bitrates.update(bitrates or {})
-    found.rig.data_bitrates.update(data_bitrates or {})
     span = trace.span_ns()
-    if span is None:
+    begin_ns, in_order = (0, False) if span is None else (span[0], span[0] == span[1])
+    collector = Collector(trace.attachments, begin_ns, in_order, describe)
+    collector.found.rig.bitrates.update(bitrates or {})
+    collector.found.rig.data_bitrates.update(data_bitrates or {})
+    messages = iter(trace.messages())
+    while collector.feed(islice(messages, BOUND)):
+        collector.bound()
+    return collector.end()
+
+
+@final
+class Collector:
+    """Collector of messages as they come: a recording's, or those of one that still grows.
+
+    Attributes:
+        found: the contents so far; complete up to the last message after `settle`.
+        count: number of messages so far.
+    """
+
+    def __init__(
+        self,
+        attachments: Sequence[Attachment],
+        begin_ns: int,
+        in_order: bool = False,
+        describe: Describe | None = None,
+    ) -> None:
+        """Collect nothing yet.
+
+        Args:
+            attachments: the files in the recording.
+            begin_ns: log time from which other times count [ns].
+            in_order: True if message numbers replace times.
+            describe: returns the message in a frame, if it knows that; None: nothing does.
+        """
+        self.found: Findings = Findings(facts_of(attachments), names_of(attachments))
+        self.found.begin_ns = self.found.end_ns = begin_ns
+        self.found.in_order = in_order
+        self.count: int = 0
+        self._last_ns = begin_ns
+        self._pass = _Pass(self.found, describe)
+
+    def feed(self, messages: Iterable[TraceMessage]) -> int:
+        """Collect these messages; return their number."""
+        found, pass_ = self.found, self._pass
+        handlers, tallies = pass_.handlers, pass_.tallies
+        begin_ns, in_order = found.begin_ns, found.in_order
+        last_ns, end_ns = self._last_ns, found.end_ns
+        count = before = self.count
+        for channel, time_ns, payload in messages:
+            count += 1
+            if time_ns > end_ns:
+                end_ns = time_ns
+            elif time_ns < last_ns:
+                found.backward += 1
+            last_ns = time_ns
+            at_ns = count if in_order else time_ns - begin_ns
+            if at_ns > TIME_MAX_NS:
+                at_ns = TIME_MAX_NS
+            number = channel.number
+            handler = handlers.get(number) or pass_.open(channel)
+            tallies[number] += 1
+            try:
+                handler(at_ns, payload)
+            except ValueError:
+                found.unread[channel.topic] += 1
+        self.count, self._last_ns, found.end_ns = count, last_ns, end_ns
+        return count - before
+
+    def settle(self) -> None:
+        """Decode what was only collected so far."""
+        self._pass.settle()
+
+    def bound(self) -> None:
+        """Reduce tracks and traffic if they exceed their limits."""
+        self.settle()
+        self.found.bound()
+
+    def end(self) -> Findings:
+        """Complete the findings at the recording's end, and return them."""
+        found = self.found
+        if found.in_order:
+            found.end_ns = found.begin_ns + self.count
+        self._pass.end(found.end_ns - found.begin_ns)
         return found
-    found.begin_ns = span[0]
-    found.in_order = span[0] == span[1]
-    pass_ = _Pass(found, describe)
-    handlers, tallies = pass_.handlers, pass_.tallies
-    begin_ns, in_order = span[0], found.in_order
-    last_ns = end_ns = begin_ns
-    count = 0
-    for channel, time_ns, payload in trace.messages():
-        count += 1
-        if time_ns > end_ns:
-            end_ns = time_ns
-        elif time_ns < last_ns:
-            found.backward += 1
-        last_ns = time_ns
-        at_ns = count if in_order else time_ns - begin_ns
-        if at_ns > TIME_MAX_NS:
-            at_ns = TIME_MAX_NS
-        number = channel.number
-        handler = handlers.get(number) or pass_.open(channel)
-        tallies[number] += 1
-        try:
-            handler(at_ns, payload)
-        except ValueError:
-            found.unread[channel.topic] += 1
-        if not count % _BOUND:
-            pass_.settle()
-            found.bound()
-    found.end_ns = begin_ns + count if in_order else end_ns
-    pass_.end(found.end_ns - begin_ns)
-    return found
 
 
 @final

@@ -1,11 +1,12 @@
 """Contents of the page: one JSON document and packed arrays."""
 
+from collections.abc import Iterable
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from motorhil.harness.report.buses import Traffic
-from motorhil.harness.report.collect import Findings
-from motorhil.harness.report.incidents import Severity
+from motorhil.harness.report.collect import Findings, GroupMoment
+from motorhil.harness.report.incidents import Incident, Incidents, Severity
 from motorhil.harness.report.motors import Line, Motor, Plot, motors_of
 from motorhil.harness.report.responses import responses_of
 from motorhil.harness.report.series import (
@@ -57,7 +58,7 @@ def document_of(
     span_ns = max(1, found.end_ns - found.begin_ns)
     packer = Packer(span_ns)
     motors = motors_of(found)
-    notes = _notes(trace, found)
+    notes = notes_of(trace, found)
     lines = [line for m in motors for p in m.plots for line in p.lines]
     points = sum(len(line.times_ns) for line in lines)
     omitted = sum(line.omitted for line in lines)
@@ -73,32 +74,47 @@ def document_of(
         notes.append(
             f"{frames_all:,} frames are drawn as sums over short stretches of time; see the panels"
         )
+    traffic = [
+        traffic_table(one, packer, _width_ns(one, share(len(one.times_ns), frames, frames_max)))
+        for one in found.traffics()
+    ]
     document: Json = {
-        "format": FORMAT,
-        "title": title,
-        "file": trace.path.rpartition("/")[2],
-        "time": _time(found, packer, span_ns),
-        "facts": _facts(trace, found, span_ns),
-        "motors": [_motor(m, packer, points, points_max, span_ns) for m in motors],
-        "timelines": [
-            _timeline(one, packer)
-            for one in (
-                pds_timeline(found, motors, span_ns),
-                lock_timeline(found, span_ns),
-                nmt_timeline(found, motors, span_ns),
-                mode_timeline(motors, span_ns),
-            )
-        ],
-        "groups": _groups(found, packer),
-        "traffic": [_traffic(one, packer, frames, frames_max) for one in found.traffics()],
+        **head_of(trace, found, title, packer),
+        "motors": [motor_table(m, packer, points, points_max) for m in motors],
+        "timelines": [timeline_table(one, packer) for one in timelines_of(found, motors, span_ns)],
+        "groups": groups_table(found.rig.groups, found.groups, packer),
+        "traffic": traffic,
         "responses": responses_of(found),
-        "incidents": _incidents(found, packer),
+        "incidents": incidents_table(found.incidents, found.incidents.kept(), packer),
         "notes": notes,
     }
     return document, packer.text()
 
 
-def _time(found: Findings, packer: Packer, span_ns: int) -> Json:
+def head_of(trace: Trace, found: Findings, title: str, packer: Packer) -> Json:
+    """Return the part of the document that tells of the whole recording."""
+    return {
+        "format": FORMAT,
+        "title": title,
+        "file": trace.path.rpartition("/")[2],
+        "time": time_table(found, packer),
+        "facts": _facts(trace, found),
+    }
+
+
+def timelines_of(found: Findings, motors: list[Motor], span_ns: int) -> list[Timeline]:
+    """Return the timelines of PDS states, locks, NMT states and modes, up to `span_ns`."""
+    return [
+        pds_timeline(found, motors, span_ns),
+        lock_timeline(found, span_ns),
+        nmt_timeline(found, motors, span_ns),
+        mode_timeline(motors, span_ns),
+    ]
+
+
+def time_table(found: Findings, packer: Packer) -> Json:
+    """Return the time axis: its kind, its length so far, and the duration of a tick."""
+    span_ns = max(1, found.end_ns - found.begin_ns)
     kind = "rig"
     if found.in_order:
         kind = "order"
@@ -114,7 +130,7 @@ def _time(found: Findings, packer: Packer, span_ns: int) -> Json:
     return told
 
 
-def _facts(trace: Trace, found: Findings, span_ns: int) -> list[list[str]]:
+def _facts(trace: Trace, found: Findings) -> list[list[str]]:
     """Return the lines of the page's head: what was recorded, when, by which program."""
     facts: list[list[str]] = []
     if found.rig.name:
@@ -133,7 +149,7 @@ def _facts(trace: Trace, found: Findings, span_ns: int) -> list[list[str]]:
     return facts
 
 
-def _notes(trace: Trace, found: Findings) -> list[str]:
+def notes_of(trace: Trace, found: Findings) -> list[str]:
     """Return the remarks on missing or reduced data."""
     notes: list[str] = []
     if not sum(found.messages.values()):
@@ -185,34 +201,38 @@ def _notes(trace: Trace, found: Findings) -> list[str]:
 # -------------------------------------------------------------------------------------- motors
 
 
-def _motor(motor: Motor, packer: Packer, points: int, points_max: int, span_ns: int) -> Json:
+def motor_table(motor: Motor, packer: Packer, points: int, points_max: int) -> Json:
+    """Return a motor with packed plots, its share of `points` reduced to one of `points_max`."""
     return {
         "name": motor.name,
         "about": motor.about,
         "scale": motor.scale,
         "summary": _summary(motor, packer),
-        "plots": [_plot(plot, packer, points, points_max, span_ns) for plot in motor.plots],
+        "plots": [_plot(plot, packer, points, points_max) for plot in motor.plots],
     }
 
 
-def _plot(plot: Plot, packer: Packer, points: int, points_max: int, span_ns: int) -> Json:
+def _plot(plot: Plot, packer: Packer, points: int, points_max: int) -> Json:
     return {
         "quantity": plot.quantity,
         "unit": plot.unit,
         "missing": plot.missing,
-        "lines": [_line(line, packer, points, points_max) for line in plot.lines],
+        "lines": [
+            line_table(line, packer, share(len(line.times_ns), points, points_max))
+            for line in plot.lines
+        ],
     }
 
 
-def _line(line: Line, packer: Packer, points: int, points_max: int) -> Json:
-    count = len(line.times_ns)
-    times, values = extremes(line.times_ns, line.values, share(count, points, points_max))
+def line_table(line: Line, packer: Packer, points: int) -> Json:
+    """Return a line with about this number of points packed, or all if there are fewer."""
+    times, values = extremes(line.times_ns, line.values, points)
     return {
         "name": line.name,
         "role": line.role,
         "source": line.source,
         "held": line.held,
-        "points": count + line.omitted,
+        "points": len(line.times_ns) + line.omitted,
         "t": packer.times(times),
         "v": packer.numbers(values),
     }
@@ -257,7 +277,8 @@ def _best(motor: Motor, quantity: str) -> tuple[Line | None, str]:
 # --------------------------------------------------------------- states, groups, buses, events
 
 
-def _timeline(line: Timeline, packer: Packer) -> Json:
+def timeline_table(line: Timeline, packer: Packer) -> Json:
+    """Return the rows of a timeline, with packed bars."""
     rows: list[Json] = []
     for row in line.rows:
         texts = {text: n for n, text in enumerate(dict.fromkeys(bar.text for bar in row.bars))}
@@ -282,10 +303,11 @@ def _timeline(line: Timeline, packer: Packer) -> Json:
     }
 
 
-def _groups(found: Findings, packer: Packer) -> list[Json]:
-    order = {name: place for place, name in enumerate(found.rig.groups)}
+def groups_table(known: Iterable[str], groups: list[GroupMoment], packer: Packer) -> list[Json]:
+    """Return the moments by group: the known groups first, in their order."""
+    order = {name: place for place, name in enumerate(known)}
     names = sorted(
-        {one.group for one in found.groups}, key=lambda name: (order.get(name, len(order)), name)
+        {one.group for one in groups}, key=lambda name: (order.get(name, len(order)), name)
     )
     return [
         {
@@ -300,7 +322,7 @@ def _groups(found: Findings, packer: Packer) -> list[Json]:
                     "predicted_s": _finite(one.predicted_s),
                     "method": one.method,
                 }
-                for one in found.groups
+                for one in groups
                 if one.group == name
             ],
         }
@@ -313,14 +335,20 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and isfinite(value) else None
 
 
-def _traffic(traffic: Traffic, packer: Packer, frames: int, frames_max: int) -> Json:
+def _width_ns(traffic: Traffic, budget: int) -> int:
+    """Return the duration of cells that makes at most `budget` of them [ns]; 0: no cells."""
+    if len(traffic.times_ns) <= budget:
+        return traffic.width_ns
+    times, keys, _, _ = traffic.arrays()
+    return cell_width_ns(times, keys, budget, max(traffic.width_ns, STRETCH_NS))
+
+
+def traffic_table(traffic: Traffic, packer: Packer, width_ns: int) -> Json:
+    """Return the traffic of a bus or line, summed in cells of this duration [ns]; 0: frames."""
     import numpy as np
 
     times, keys, weights, counts = traffic.arrays()
-    keys, width_ns = _by_rank(traffic, keys), traffic.width_ns
-    budget = share(len(times), frames, frames_max)
-    if len(times) > budget:
-        width_ns = cell_width_ns(times, keys, budget, max(width_ns, STRETCH_NS))
+    keys = _by_rank(traffic, keys)
     if width_ns:
         times, keys, weights, counts = cells(times, keys, weights, counts, width_ns)
         times = times + width_ns
@@ -359,12 +387,13 @@ def _by_rank(traffic: Traffic, keys: "NDArray[int64]") -> "NDArray[int64]":
     return places[keys]
 
 
-def _incidents(found: Findings, packer: Packer) -> Json:
-    ordered = sorted(found.incidents.kept(), key=lambda one: one.time_ns)
-    kinds = sorted(found.incidents.counts)
+def incidents_table(incidents: Incidents, some: list[Incident], packer: Packer) -> Json:
+    """Return some of the incidents by time, and the number of all by kind."""
+    ordered = sorted(some, key=lambda one: one.time_ns)
+    kinds = sorted(incidents.counts)
     return {
         "kinds": kinds,
-        "counts": [found.incidents.counts[kind] for kind in kinds],
+        "counts": [incidents.counts[kind] for kind in kinds],
         "list": [
             [packer.ticks(i.time_ns), int(i.severity), kinds.index(i.kind), i.place, i.text]
             for i in ordered

@@ -69,6 +69,16 @@ class Incidents:
         found = [one for kept in self._kept.values() for one in kept]
         return [incident for _, incident in sorted(found, key=lambda one: one[0])]
 
+    def since(self, number: int) -> list[Incident]:
+        """Return the kept incidents after the first `number` of all, in order of arrival."""
+        found: list[tuple[int, Incident]] = []
+        for kept in self._kept.values():
+            for one in reversed(kept):
+                if one[0] <= number:
+                    break
+                found.append(one)
+        return [incident for _, incident in sorted(found, key=lambda one: one[0])]
+
     def left_out(self) -> list[str]:
         """Return a remark for each kind that exceeds the limit."""
         return [

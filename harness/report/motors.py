@@ -7,12 +7,13 @@ velocity demand is the slope of the position demand. The following error of a dr
 its demand minus its actual position.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.harness.report.buses import Place, Told
 from motorhil.harness.report.collect import Findings
-from motorhil.harness.report.series import Track, difference, differences
+from motorhil.harness.report.series import Track, difference, differences, shortest_step_ns
 from motorhil.traces.decoding.attached_rig import MotorFacts
 
 if TYPE_CHECKING:
@@ -22,6 +23,21 @@ if TYPE_CHECKING:
 QUANTITIES: Final = ("position", "velocity", "following error", "torque")
 _SAME: Final = 0.01
 _TRAVEL_INC: Final = 1_000.0
+
+
+@final
+class Scale(NamedTuple):
+    """Scale of one motor, as the whole recording tells it.
+
+    Attributes:
+        increments: increments in one rad or m; None: unknown.
+        origin: their origin as a text.
+        step_ns: the shortest distance of two samples of its truth [ns]; None: there are none.
+    """
+
+    increments: float | None
+    origin: str
+    step_ns: int | None
 
 
 @final
@@ -81,8 +97,33 @@ class Motor:
     truth_states: Track | None = None
 
 
-def motors_of(found: Findings) -> list[Motor]:
-    """Return all motors: those of the rig in its order, then those known from data only."""
+def motors_of(found: Findings, scales: Mapping[str, Scale] | None = None) -> list[Motor]:
+    """Return all motors: those of the rig in its order, then those known from data only.
+
+    Args:
+        found: contents of a recording, or their latest part.
+        scales: scales by motor, from the whole recording; None: those of `found`.
+    """
+    motors = [_motor(found, one, None, scales) for one in _known(found).values()]
+    places = {motor.place for motor in motors}
+    for axis, told in sorted(found.nodes.told.items()):
+        if axis not in places and (told.tracks or len(told.pds)):
+            motors.append(_nameless(found, axis))
+    return motors
+
+
+def scales_of(found: Findings) -> dict[str, Scale]:
+    """Return the scale of each motor with a name."""
+    scales: dict[str, Scale] = {}
+    for one in _known(found).values():
+        truth = _truth_of(found, one)
+        unit = _unit(one, truth, bool(found.states.get(one.name)))
+        scales[one.name] = _scale(one, truth, unit)
+    return scales
+
+
+def _known(found: Findings) -> dict[str, MotorFacts]:
+    """Return the motors of the rig, then those with a state or a truth."""
     facts = dict(found.rig.motors)
     covered = {one.controller for one in facts.values()}
     for name in found.states:
@@ -94,12 +135,11 @@ def motors_of(found: Findings) -> list[Motor]:
     for name in found.truths:
         if name not in covered and name not in facts:
             facts[name] = MotorFacts(name, "rad", controller=name)
-    motors = [_motor(found, one) for one in facts.values()]
-    known = {motor.place for motor in motors}
-    for axis, told in sorted(found.nodes.told.items()):
-        if axis not in known and (told.tracks or len(told.pds)):
-            motors.append(_nameless(found, axis))
-    return motors
+    return facts
+
+
+def _unit(facts: MotorFacts, truth: dict[str, Track], has_state: bool) -> str:
+    return facts.unit or ("rad" if "position_rad" in truth else "rad or m" if has_state else "")
 
 
 def _nameless(found: Findings, place: Place) -> Motor:
@@ -108,21 +148,27 @@ def _nameless(found: Findings, place: Place) -> Motor:
     return _motor(found, MotorFacts(name if axis == 1 else f"{name} axis {axis}"), place)
 
 
-def _motor(found: Findings, facts: MotorFacts, place: Place | None = None) -> Motor:
+def _motor(
+    found: Findings,
+    facts: MotorFacts,
+    place: Place | None = None,
+    scales: Mapping[str, Scale] | None = None,
+) -> Motor:
     if place is None and facts.place is not None:
         place = (*facts.place, facts.channel)
     told = found.nodes.told.get(place) if place is not None else None
     truth = _truth_of(found, facts)
     state = found.states.get(facts.name, {})
-    unit = facts.unit or ("rad" if "position_rad" in truth else "rad or m" if state else "")
-    scale, scale_text = _scale(facts, truth, unit)
+    unit = _unit(facts, truth, bool(state))
+    known = None if scales is None else scales.get(facts.name)
+    scale = _scale(facts, truth, unit) if known is None else known
     builder = _Builder(facts, unit, scale)
     builder.add_state(state)
     builder.add_truth(truth)
     if told is not None:
         builder.add_told(told)
     about = f"{place[0]} node {place[1]}" if place is not None and told is not None else ""
-    return Motor(facts.name, about, place, told, builder.plots(), scale_text, truth.get("state"))
+    return Motor(facts.name, about, place, told, builder.plots(), scale.origin, truth.get("state"))
 
 
 def _truth_of(found: Findings, facts: MotorFacts) -> dict[str, Track]:
@@ -136,15 +182,19 @@ def _truth_of(found: Findings, facts: MotorFacts) -> dict[str, Track]:
     return {key: track for key, track in truth.items() if not key.startswith("channel_")}
 
 
-def _scale(facts: MotorFacts, truth: dict[str, Track], unit: str) -> tuple[float | None, str]:
+def _scale(facts: MotorFacts, truth: dict[str, Track], unit: str) -> Scale:
     """Return the increments in one rad or m according to the truth, with their origin."""
     measured = _measured(truth)
     given = facts.increments_per_unit
+    demand = truth.get("demand_inc")
+    step_ns = None if demand is None else shortest_step_ns(demand.sorted()[0])
     if measured is not None and (given is None or abs(given / measured - 1.0) > _SAME):
-        return measured, f"1 {unit} is {measured:,.2f} increments, from the truth's position"
+        text = f"1 {unit} is {measured:,.2f} increments, from the truth's position"
+        return Scale(measured, text, step_ns)
     if given is not None:
-        return given, f"1 {unit} is {given:,.2f} increments, by {facts.model or 'its model'}"
-    return None, "the recording does not give the increments in one rad or m"
+        text = f"1 {unit} is {given:,.2f} increments, by {facts.model or 'its model'}"
+        return Scale(given, text, step_ns)
+    return Scale(None, "the recording does not give the increments in one rad or m", step_ns)
 
 
 def _measured(truth: dict[str, Track]) -> float | None:
@@ -172,10 +222,11 @@ if TYPE_CHECKING:
 class _Builder:
     """Builder of the plots of one motor."""
 
-    def __init__(self, facts: MotorFacts, unit: str, scale: float | None) -> None:
+    def __init__(self, facts: MotorFacts, unit: str, scale: Scale) -> None:
         self._facts = facts
         self._unit = unit
-        self._scale = scale
+        self._scale = scale.increments
+        self._step_ns = scale.step_ns
         self._plots: dict[tuple[str, str], Plot] = {}
         self._roles: set[tuple[str, str]] = set()
 
@@ -240,7 +291,7 @@ class _Builder:
         name = f"{topic}.demand_inc"
         points = times, values, demand.omitted
         self._line("position", "rad", "demand", "demand (drive)", name, False, points)
-        points = times, differences(times, wanted / self._scale), demand.omitted
+        points = times, differences(times, wanted / self._scale, self._step_ns), demand.omitted
         told = f"slope of {name}"
         self._line("velocity", "rad/s", "demand", "demand (slope)", told, True, points)
 

@@ -18,6 +18,7 @@ SCRIPTS: Final = (
     "moves.js",
     "responses.js",
     "page.js",
+    "start.js",
 )
 
 
@@ -28,27 +29,52 @@ def render(document: Json, packed: str) -> str:
         document: the document made by `document_of`.
         packed: the arrays that it refers to.
     """
-    folder = files("motorhil.harness.report") / "template"
-    style = (folder / "page.css").read_text("utf-8")
-    script = '"use strict";\n' + "\n".join((folder / name).read_text("utf-8") for name in SCRIPTS)
     told = json.dumps(document, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    page = (folder / "page.html").read_text("utf-8")
-    parts = {
-        "policy": _policy(script, style),
+    return assembled(
+        read_template("page.html"),
+        title=str(document["title"]),
+        style=read_template("page.css"),
+        script="\n".join(read_template(name) for name in SCRIPTS),
+        connect="",
+        parts={"document": told.replace("<", "\\u003c"), "packed": packed},
+    )
+
+
+def read_template(name: str) -> str:
+    """Return a file of the template."""
+    return (files("motorhil.harness.report") / "template" / name).read_text("utf-8")
+
+
+def assembled(
+    page: str, *, title: str, style: str, script: str, connect: str, parts: dict[str, str]
+) -> str:
+    """Return the page with its parts in place of @@names@@.
+
+    Args:
+        page: the template.
+        title: the title, as plain text.
+        style: the style.
+        script: the script.
+        connect: the connections that its content security policy allows; "": none.
+        parts: further parts by name, as HTML.
+    """
+    script = '"use strict";\n' + script
+    told = parts | {
+        "body": read_template("body.html"),
+        "policy": _policy(script, style, connect),
         "style": style,
         "script": script,
-        "title": _escaped(str(document["title"])),
-        "document": told.replace("<", "\\u003c"),
-        "packed": packed,
+        "title": _escaped(title),
     }
-    return re.sub("@@([a-z]+)@@", lambda found: parts[found[1]], page)
+    return re.sub("@@([a-z]+)@@", lambda found: told[found[1]], page)
 
 
-def _policy(script: str, style: str) -> str:
+def _policy(script: str, style: str, connect: str) -> str:
     """Return a content security policy that allows only this script and this style."""
+    connections = f" connect-src {connect};" if connect else ""
     return (
         f"default-src 'none'; img-src data:; script-src '{_digest(script)}';"
-        f" style-src '{_digest(style)}'; base-uri 'none'; form-action 'none'"
+        f" style-src '{_digest(style)}';{connections} base-uri 'none'; form-action 'none'"
     )
 
 

@@ -9,6 +9,7 @@ highest value is lost. Arrays are packed as base64 of deflated bytes, sorted by 
 import base64
 import zlib
 from array import array
+from bisect import bisect_left
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
@@ -75,6 +76,19 @@ class Track:
         self.times_ns = array("q", times.tobytes())
         self.values = array("d", values.tobytes())
 
+    def since(self, time_ns: int) -> "Track":
+        """Return a copy from the last time before `time_ns` on; times must ascend.
+
+        All points with that last time are in it: two of them are a step.
+        """
+        part = Track(self.held)
+        begin = bisect_left(self.times_ns, time_ns)
+        if begin:
+            begin = bisect_left(self.times_ns, self.times_ns[begin - 1])
+        part.times_ns, part.values = self.times_ns[begin:], self.values[begin:]
+        part.last = self.last
+        return part
+
     def sorted(self) -> "tuple[NDArray[int64], NDArray[float64]]":
         """Return times and values by time; equal times keep their order."""
         import numpy as np
@@ -119,6 +133,18 @@ class Steps:
         self.times_ns.append(time_ns)
         self.codes.append(code)
         return True
+
+    def since(self, time_ns: int) -> "Steps":
+        """Return a copy from the last change before `time_ns` on."""
+        begin = len(self.times_ns)
+        while begin > 0:
+            begin -= 1
+            if self.times_ns[begin] < time_ns:
+                break
+        part = Steps()
+        part.times_ns, part.codes = self.times_ns[begin:], self.codes[begin:]
+        part.last = self.last
+        return part
 
 
 def share(count: int, total: int, budget: int) -> int:
@@ -179,21 +205,36 @@ def remarkable(
     return np.unique(np.concatenate(kept))
 
 
-def differences(times_ns: "NDArray[int64]", values: "NDArray[float64]") -> "NDArray[float64]":
+def differences(
+    times_ns: "NDArray[int64]", values: "NDArray[float64]", step_ns: int | None = None
+) -> "NDArray[float64]":
     """Return the rate [1/s] from each point to the next; 0 after the last one.
 
     Two points at the same time are a step after a pause in the recording. The step took one
     sampling period at most; the shortest distance between two points is used for it.
+
+    Args:
+        times_ns: the times [ns], ascending.
+        values: the values.
+        step_ns: the shortest distance [ns]; None: that of these points.
     """
     import numpy as np
 
     if len(times_ns) < 2:
         return np.zeros(len(times_ns))
     steps = np.diff(times_ns)
-    positive = steps[steps > 0]
-    shortest = int(positive.min()) if len(positive) else 1
-    rates = np.diff(values) / (np.maximum(steps, shortest) / 1e9)
+    shortest_ns = shortest_step_ns(times_ns) if step_ns is None else step_ns
+    rates = np.diff(values) / (np.maximum(steps, shortest_ns or 1) / 1e9)
     return np.append(rates, 0.0)
+
+
+def shortest_step_ns(times_ns: "NDArray[int64]") -> int | None:
+    """Return the shortest distance of two times that differ [ns]; None: there is none."""
+    import numpy as np
+
+    steps = np.diff(times_ns)
+    positive = steps[steps > 0]
+    return int(positive.min()) if len(positive) else None
 
 
 def difference(one: Track, other: Track) -> "tuple[NDArray[int64], NDArray[float64]]":
@@ -330,9 +371,13 @@ class Packer:
         with np.errstate(over="ignore"):
             return {**self._add("f32", (values - base).astype("<f4")), "base": base}
 
+    def data(self) -> bytes:
+        """Return all arrays."""
+        return b"".join(self._parts)
+
     def text(self) -> str:
         """Return all arrays as one text."""
-        return base64.b64encode(zlib.compress(b"".join(self._parts), 7)).decode("ascii")
+        return base64.b64encode(zlib.compress(self.data(), 7)).decode("ascii")
 
     def _add(self, kind: str, array: "NDArray[integer[object]] | NDArray[float64]") -> Packed:  # type: ignore[type-var]
         import numpy as np

@@ -150,7 +150,7 @@ def lock_timeline(found: Findings, end_ns: int) -> Timeline:
         row = Row(motor)
         for one in tenures.get(motor, ()):
             to_ns = end_ns if one.to_ns is None else one.to_ns
-            who = _who(one.program, one.pid, one.owner)
+            who = owner_text(one.program, one.pid, one.owner)
             purpose = f" for {one.purpose}" if one.purpose else ""
             own = f", by {one.owner}" if one.program else ""
             ended = "" if one.ended is Ended.RELEASED else f"; it {one.ended.value}"
@@ -176,7 +176,7 @@ def _waits(motor: str, events: list[LockEvent], words: list[str], end_ns: int) -
     over = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER, LockAction.REFUSED)
 
     def add(event: LockEvent, from_ns: int, to_ns: int, how: str) -> None:
-        who = _who(event.program, event.pid, event.owner)
+        who = owner_text(event.program, event.pid, event.owner)
         text = f"{who} waits for {motor}{how}"
         bars.append(Bar(from_ns, to_ns, _word(words, who), text, waits=True))
 
@@ -197,7 +197,7 @@ def _waits(motor: str, events: list[LockEvent], words: list[str], end_ns: int) -
     return bars
 
 
-def _who(program: str, pid: int, owner: str) -> str:
+def owner_text(program: str, pid: int, owner: str) -> str:
     """Return the owner's name: its program if known, else its call."""
     if program:
         return f"{program} [{pid}]" if pid else program

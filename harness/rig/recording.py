@@ -12,7 +12,7 @@ from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, ru
 from motorhil.harness.rig.config.buses import SERIAL
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.writer import TraceWriter
+from motorhil.traces.mcap.writer import CHUNK_NS, TraceWriter
 from motorhil.traces.protobuf import Value
 from motorhil.traces.schema import GROUP_SYNC
 
@@ -91,6 +91,7 @@ def start_recording(
     world: "World",
     before: Iterable[tuple[int, str, str, str]],
     truths: bool = True,
+    chunk_ns: int = CHUNK_NS,
 ) -> Recorder:
     """Start to record everything that happens in the world to `target`.
 
@@ -101,13 +102,14 @@ def start_recording(
         world: all buses and controllers.
         before: (time [ns], level, source, text) of events that have already happened.
         truths: True to record the true states of controllers as well.
+        chunk_ns: longest time after which messages are written, by the rig's time [ns].
 
     Raises:
         TraceError: the file cannot be written.
     """
     files = files_of(description)
     metadata = run_metadata(seed=seed, rig_digest=digest_of(files), command_line=sys.argv)
-    writer = TraceWriter(target, metadata)
+    writer = TraceWriter(target, metadata, chunk_ns=chunk_ns)
     try:
         for name, media_type, data in files:
             writer.attach(name, data, media_type)

@@ -75,6 +75,7 @@ from motorhil.motorapi.errors import FileError, UsageError
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 from motorhil.settings import read
+from motorhil.traces.mcap.writer import CHUNK_NS
 
 if TYPE_CHECKING:
     from motorhil.harness.python_can.bus import EmulatedBus
@@ -487,7 +488,7 @@ class Rig:
 
     Args:
         description: the contents of the rig file.
-        seed, realtime, record: as for `open`.
+        seed, record, pace, chunk_ns: as for `open`.
         doubts: whether implausible values are noted, which costs a sixth of the opening.
         truths: whether a recording has the true states of controllers.
 
@@ -512,6 +513,8 @@ class Rig:
         record: Path | None = None,
         doubts: bool = True,
         truths: bool = True,
+        pace: float | None = None,
+        chunk_ns: int = CHUNK_NS,
     ) -> None:
         self.description = description
         self.seed: int = description.seed if seed is None else seed
@@ -533,8 +536,10 @@ class Rig:
                 self._doubt(started)
             self.notes += [note for bus in description.buses for note in self._destroyers(bus)]
             if record is not None:
-                self._record(record, started, truths, cleanup)
-            self.runtime: VirtualRuntime = VirtualRuntime(queue, WallPace() if realtime else None)
+                self._record(record, started, truths, chunk_ns, cleanup)
+            pace = 1.0 if realtime else pace
+            wall = None if pace is None else WallPace(pace)
+            self.runtime: VirtualRuntime = VirtualRuntime(queue, wall)
             if description.world.interleaving is not None:
                 self.runtime.interleave(Random(f"{description.world.interleaving}:turns").randrange)
             cleanup.enter_context(interrupts_between_events(self.runtime))
@@ -561,6 +566,8 @@ class Rig:
         realtime: bool = False,
         record: str | Path | None = None,
         world: str | Path | None = None,
+        pace: float | None = None,
+        chunk_ns: int = CHUNK_NS,
     ) -> Self:
         """Open the rig of a file, switched on at time 0.
 
@@ -570,6 +577,8 @@ class Rig:
             realtime: True to run no faster than the wall clock.
             record: an MCAP file for the recording.
             world: a fragment of `motorhil swarm`, with the disturbances of one of its worlds.
+            pace: most seconds of the rig in one second of wall time; None: no limit.
+            chunk_ns: longest time after which the recording is written, by the rig's time [ns].
 
         Raises:
             RigError: the rig cannot be used as it is written; nothing is left open.
@@ -580,9 +589,10 @@ class Rig:
         if seed is not None and not 0 <= seed <= SEED_MAX:
             raise RigError(path, f"seed {seed} is not within 0 to {SEED_MAX}", "use another seed")
         target = None if record is None else Path(record)
-        rig = cls(description, seed=seed, realtime=realtime, record=target)
+        pace = 1.0 if realtime else pace
+        rig = cls(description, seed=seed, record=target, pace=pace, chunk_ns=chunk_ns)
         rig._warns_at_end = True
-        if not realtime:
+        if pace is None:
             rig._in_use.enter_context(sleep_watched(rig.runtime))
         return rig
 
@@ -732,6 +742,7 @@ class Rig:
         target: Path,
         started: list[tuple[int, str, str, str]],
         truths: bool,
+        chunk_ns: int,
         cleanup: ExitStack,
     ) -> None:
         from motorhil.harness.rig.recording import end_recording, start_recording
@@ -743,7 +754,7 @@ class Rig:
                 refuse_source(self.description.folder / source, target)
         try:
             about = self.description, self.seed, self.world
-            recorder = start_recording(target, *about, started, truths)
+            recorder = start_recording(target, *about, started, truths, chunk_ns)
         except TraceError as error:
             raise RigError(error.path, error.what, error.remedy) from None
         self.recording = recorder

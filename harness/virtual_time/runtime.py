@@ -651,7 +651,9 @@ class WallPace:
         late_ns_max: largest lateness of an event so far [ns].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, speed: float = 1.0) -> None:
+        """Let `speed` seconds of the rig pass in one second of wall time."""
+        self._speed: float = speed
         self._start_ns: int | None = None
         self.late_ns_max: int = 0
 
@@ -660,7 +662,8 @@ class WallPace:
         now_ns = monotonic_ns()
         if self._start_ns is None:
             self._start_ns = now_ns
-        left_ns = self._start_ns + due_ns - now_ns
+        wall_ns = due_ns if self._speed == 1.0 else int(due_ns / self._speed)
+        left_ns = self._start_ns + wall_ns - now_ns
         if left_ns > 0:
             sleep(left_ns / 1e9)
         else:

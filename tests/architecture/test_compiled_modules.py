@@ -116,6 +116,7 @@ FOLDERS = (
     "harness/identification",
     *("harness/sharing_tests", "harness/swarm", "harness/swarm/worlds"),
     "harness/virtual_time/stdlib",
+    "harness/view",
     "harness/swarm/report",
     *("motorapi", "motorapi/adaptations", "motorapi/adaptations/modbus", "motorapi/api"),
     *("motorapi/functions", "motorapi/generation"),

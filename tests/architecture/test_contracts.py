@@ -167,6 +167,8 @@ PLANTS = [
     ("traces-alone", "traces/mcap/writer.py", "from time import time", "mcap.writer -> time"),
     ("mcap-in-tests", "traces/mcap/reader.py", "import mcap.reader", "mcap.reader -> mcap"),
     ("mcap-in-tests", "harness/report/page.py", "import mcap", "report.page -> mcap"),
+    ("view-cores", "harness/view/session.py", "import time", "view.session -> time"),
+    ("view-cores", "harness/view/stream.py", "import threading", "view.stream -> threading"),
     ("waiting", "motorapi/motor.py", "import time", "motorhil.motorapi.motor -> time"),
     (
         "waiting",

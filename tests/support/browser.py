@@ -15,7 +15,7 @@ FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
     *("--disable-default-apps", "--disable-extensions", "--hide-scrollbars", "--mute-audio"),
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # prevents even name lookups
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # prevents even name lookups
     "--remote-debugging-pipe",
 )
 

@@ -153,6 +153,7 @@ class TraceWriter:
         target: str | os.PathLike[str] | BinaryIO,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         compact: bool = False,
+        chunk_ns: int = CHUNK_NS,
     ) -> None:
         """Begin the file; an existing recording of that name is overwritten.
 
@@ -160,11 +161,13 @@ class TraceWriter:
             target: a path, or a binary file open for writing, at its beginning.
             metadata: tables of strings by name ("run": seed, versions, ...).
             compact: True to omit the message index.
+            chunk_ns: longest time in one chunk, by log times [ns].
 
         Raises:
             TraceError: the file cannot be written, or exists and is not a recording.
         """
         self.path: str
+        self.chunk_ns: int = chunk_ns
         self.error: TraceError | None = None
         self._file: io.RawIOBase | BinaryIO
         self._owned: bool = isinstance(target, str | os.PathLike)
@@ -278,7 +281,7 @@ class TraceWriter:
         while start < len(entries):
             if entries[start][1] >= self._due_ns:
                 self._close_chunk()
-                self._due_ns = (entries[start][1] // CHUNK_NS + 1) * CHUNK_NS
+                self._due_ns = (entries[start][1] // self.chunk_ns + 1) * self.chunk_ns
             end = min(start + _SLICE, len(entries))
             if entries[end - 1][1] >= self._due_ns:
                 # The first message always stays in this chunk, so that the loop ends.

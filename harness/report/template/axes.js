@@ -1,6 +1,6 @@
 // Ticks, numbers with prefixes, the theme, and the common time range of all panels.
-const view = { from: 0, to: SPAN };
-const SHORTEST = time.kind === "order" ? 2 : Math.max(1e-6, SPAN * 1e-9);
+const view = { from: 0, to: 1 };
+const shortest = () => time.kind === "order" ? 2 : Math.max(1e-6, SPAN * 1e-9);
 const theme = {};
 const dash = { demand: [6, 3], actual: [], truth: [2, 2], target: [8, 3, 2, 3] };
 const FONT = "11px system-ui, sans-serif";
@@ -67,7 +67,7 @@ function spanText(span) {
 }
 
 function setRange(from, to, remember = true) {
-  let span = Math.min(Math.max(to - from, SHORTEST), SPAN * 1.04 || 1);
+  let span = Math.min(Math.max(to - from, shortest()), SPAN * 1.04 || 1);
   const middle = (from + to) / 2;
   from = middle - span / 2;
   const slack = SPAN * 0.02;

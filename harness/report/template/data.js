@@ -1,8 +1,12 @@
 // The document and its packed arrays. Times are in seconds from the recording's beginning.
-const report = JSON.parse(document.getElementById("document").textContent);
-const time = report.time;
-const SPAN = time.span * time.tick_s;
-let bytes = null;
+let report = null, bytes = null, SPAN = 1;
+let time = { kind: "rig", span: 1, tick_s: 1, begin_s: 0, begin_ns: "0" };
+
+function adopt(told) {
+  report = told;
+  time = report.time;
+  SPAN = time.span * time.tick_s;
+}
 
 function fail(what) {
   const root = document.documentElement;
@@ -11,16 +15,15 @@ function fail(what) {
 window.addEventListener("error", (event) => fail(String(event.message)));
 window.addEventListener("unhandledrejection", (event) => fail(String(event.reason)));
 
-async function unpack() {
-  const text = atob(document.getElementById("packed").textContent.trim());
+async function inflated(packed_text) {
+  const text = atob(packed_text.trim());
   const packed = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) packed[i] = text.charCodeAt(i);
   if (typeof DecompressionStream === "undefined") {
     throw new Error("this browser cannot decompress the data: use one of 2023 or later");
   }
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-  document.getElementById("packed").textContent = "";
+  return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
 const SIZES = { u8: 1, u16: 2, u32: 4, f32: 4 };
@@ -38,12 +41,12 @@ function whole(told) {
   return out;
 }
 
-function seconds(told) {
+function seconds(told, tick_s = time.tick_s) {
   const ticks = whole(told), out = new Float64Array(ticks.length);
   let sum = 0;
   for (let i = 0; i < ticks.length; i++) {
     sum = told.delta ? sum + ticks[i] : ticks[i];
-    out[i] = sum * time.tick_s;
+    out[i] = sum * tick_s;
   }
   return out;
 }

@@ -97,8 +97,8 @@ function listen() {
     });
   }
   document.addEventListener("keydown", (event) => {
-    if (event.target.closest("input, dialog, button, summary, a") && !event.altKey) {
-      if (event.target.closest("input, dialog") || event.key === "Enter" || event.key === " ") return;
+    if (event.target.closest("input, select, dialog, button, summary, a") && !event.altKey) {
+      if (event.target.closest("input, select, dialog") || event.key === "Enter" || event.key === " ") return;
     }
     if (event.ctrlKey || event.metaKey) return;
     if (event.altKey && event.key.startsWith("Arrow")) {

@@ -120,11 +120,11 @@ function motorSections() {
     show();
   }
   $("filter").hidden = false;
-  $("filter").addEventListener("input", () => {
+  $("filter").oninput = () => {
     const words = $("filter").value.toLowerCase();
     for (const element of holder.querySelectorAll(".motor")) element.hidden = !element.dataset.motor.toLowerCase().includes(words);
     redraw();
-  });
+  };
 }
 
 function summaryOf(motor) {
@@ -176,6 +176,7 @@ function rangeChanged() {
   if (document.activeElement !== $("from")) $("from").value = (view.from + shift).toFixed(places);
   if (document.activeElement !== $("to")) $("to").value = (view.to + shift).toFixed(places);
   redraw();
+  document.dispatchEvent(new Event("range"));
   clearTimeout(rangeChanged.timer);
   rangeChanged.timer = setTimeout(() => {
     const hash = `#t=${(view.from + shift).toFixed(9)},${(view.to + shift).toFixed(9)}`;
@@ -288,30 +289,13 @@ function fromHash() {
   return true;
 }
 
-async function start() {
-  const begun = performance.now();
+// Makes all sections of the report anew, without their data being drawn.
+function compose() {
   readTheme();
-  await unpack();
   head();
   build();
   responses();
   list();
   layout();
   redrawn.forEach((draw) => draw());
-  listen();
-  view.from = view.to = NaN;
-  whole_range();
-  fromHash();
-  past.length = 0;
-  layout(); // a scroll bar may have appeared
-  paint(true);
-  const root = document.documentElement;
-  root.dataset.panels = panels.length;
-  root.dataset.loadMs = (performance.now() - begun).toFixed(1);
-  root.dataset.state = "ready";
 }
-
-start().catch((error) => {
-  fail(String(error));
-  make("p", $("notes"), `The page cannot be drawn: ${error.message}`);
-});

@@ -99,18 +99,20 @@ function legend(parent, told) {
   const used = new Set();
   for (const row of told.rows) for (const word of whole(row.word)) used.add(word);
   const list = make("div", parent, "", "swatches");
-  for (const word of [...used].sort((a, b) => a - b).slice(0, 24)) {
-    const item = make("span", list);
-    const canvas = make("canvas", item);
-    canvas.width = 16;
-    canvas.height = 11;
-    redrawn.push(() => {
-      const ctx = canvas.getContext("2d");
-      ctx.fillStyle = fillOf(ctx, told.tones[word], word, false);
-      ctx.fillRect(0, 0, 16, 11);
-    });
-    make("span", item, told.words[word]);
-  }
+  for (const word of [...used].sort((a, b) => a - b).slice(0, 24)) swatch(list, told, word);
+}
+
+function swatch(list, told, word) {
+  const item = make("span", list);
+  const canvas = make("canvas", item);
+  canvas.width = 16;
+  canvas.height = 11;
+  redrawn.push(() => {
+    const ctx = canvas.getContext("2d");
+    ctx.fillStyle = fillOf(ctx, told.tones[word], word, false);
+    ctx.fillRect(0, 0, 16, 11);
+  });
+  make("span", item, told.words[word]);
 }
 const redrawn = []; // redrawn when the theme changes
 
@@ -124,8 +126,11 @@ class GroupPanel extends Panel {
       make("span", line, "", "value");
       return line;
     });
+    this.scale();
+  }
+  scale() {
     let low = Infinity, high = 0;
-    for (const one of group.moments) {
+    for (const one of this.group.moments) {
       for (const value of [one.skew_s, one.predicted_s]) {
         if (value > 0) { low = Math.min(low, value); high = Math.max(high, value); }
       }

@@ -7,7 +7,8 @@ import pytest
 from motorhil.harness.cli.main import main, parsers
 from tests.support.swarm.campaigns import failure, written
 
-NO_RESULTS = {"demo", "run", "serve", "completion"}  # they print what programs print, or a script
+# They print what programs print, an address, or a script.
+NO_RESULTS = {"demo", "run", "serve", "view", "completion"}
 LINES = {"show"}  # one document a line, as a recording may have no end
 LOG = "".join(f"({1000 + n}.500000) can0 181#0102\n" for n in range(4))
 RIG = """\

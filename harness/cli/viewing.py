@@ -1,0 +1,120 @@
+"""The option `--view`: a live page beside a verb that records.
+
+The page is served by a process of its own, `motorhil view`, which reads the recording as it is
+written. So it shares nothing with the rig or the recorder but the file, and cannot delay them.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import motorhil
+from motorhil.harness.cli.options import whole
+from motorhil.harness.rig.config.toml import RigError
+from motorhil.traces.mcap.writer import CHUNK_NS
+
+PORT_MAX: Final = 65_535
+CHUNK_S: Final = 0.05
+"""Longest time after which a watched recording is written [s of wall time]."""
+_UNPACED_NS: Final = 500_000_000
+_NS: Final = 1_000_000_000
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Add `--view`."""
+    parser.add_argument(
+        "--view", action="store_true", help="show a live page; its address goes to stderr"
+    )
+    parser.add_argument(
+        "--view-port",
+        type=whole(0, PORT_MAX),
+        default=0,
+        metavar="N",
+        help="port of the live page (default: any free one)",
+    )
+
+
+def add_pace(parser: argparse.ArgumentParser) -> None:
+    """Add `--pace`."""
+    parser.add_argument(
+        "--pace",
+        type=pace_of,
+        metavar="X",
+        help="let at most X seconds of the rig pass in one second (default: no limit)",
+    )
+
+
+def pace_of(text: str) -> float:
+    """Read a pace, such as 10 or 10x, for argparse's `type`."""
+    try:
+        pace = float(text.removesuffix("x"))
+    except ValueError:
+        pace = 0.0
+    if not 1e-3 <= pace <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pace; say 0.001 to 1e6, such as 10")
+    return pace
+
+
+def chunk_ns(pace: float | None, is_watched: bool = True) -> int:
+    """Return the longest time in one chunk of a recorded rig, by the rig's time [ns]."""
+    if not is_watched:
+        return CHUNK_NS
+    return _UNPACED_NS if pace is None else min(_NS, max(1, round(CHUNK_S * pace * _NS)))
+
+
+@contextmanager
+def record_for(output: Path | None, is_watched: bool) -> Iterator[Path | None]:
+    """Return the file to record to: `output`, or for a page without one a file that is deleted."""
+    if output is not None or not is_watched:
+        yield output
+        return
+    with TemporaryDirectory(prefix="motorhil-view-") as folder:
+        yield Path(folder) / "live.mcap"
+
+
+@contextmanager
+def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[None]:
+    """Serve the page of a recording in progress while the context is open.
+
+    Args:
+        recording: the file; its head must be written.
+        title: title of the page.
+        port: its port; 0: any free one.
+        stays: True to keep the page after the end of the context, until Ctrl-C.
+
+    Raises:
+        RigError: the page cannot be served.
+    """
+    root = str(Path(motorhil.__file__).parent.parent)
+    others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
+    words = ["view", str(recording), "--title", title, "--port", str(port), "--beside"]
+    server = subprocess.Popen(
+        [sys.executable, "-m", "motorhil", *words],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},
+        stdin=subprocess.PIPE,  # it ends with this process
+        stdout=subprocess.PIPE,
+        process_group=0,  # Ctrl-C ends the rig first
+    )
+    try:
+        assert server.stdout is not None
+        address = server.stdout.readline().decode().strip()
+        if not address:
+            raise RigError(recording, "its page cannot be served", "see the message above")
+        print(f"page: {address}", file=sys.stderr, flush=True)
+        yield
+        if stays:
+            with suppress(KeyboardInterrupt):
+                print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
+                server.wait()
+    finally:
+        server.terminate()
+        server.wait()
+        for pipe in (server.stdin, server.stdout):
+            if pipe is not None:
+                pipe.close()

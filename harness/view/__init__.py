@@ -1,0 +1,15 @@
+"""Live view: a page on loopback that shows a recording while it grows.
+
+    source     reads the file: the only thread that does
+    session    state of the picture after each message, and the events for pages
+    increments the whole picture, and its news since the last event
+    presence   motors and nodes: state, heartbeat, faults
+    identifiers messages on the buses: count, period, jitter, latest data
+    stream     the latest events, by position in the record
+    access     token, Host and Origin of requests
+    server     HTTP: the page, the events, the report
+    page       the page's text
+
+Only `source` and `server` touch time, threads and sockets. Everything on the page comes from the
+record, so a file, a rig and a live bus share all code after the source.
+"""
