@@ -1,10 +1,9 @@
 """Fairness: which oracles may judge a world.
 
 A disturbance can break a promise by itself: a load that is stronger than the motor moves it at
-rest, and a lost frame is a request without an answer. A delayed statusword reports the target of
-before during the next motion. A program that starts again and again after
-the same fault sends its SYNCs in equal times, so they look cyclic until it gives up. Such an oracle
-does not judge such a world.
+rest, and a lost frame is a request without an answer. A delayed statusword reports the state or the
+target of before. A program that starts again and again after the same fault sends its SYNCs in
+equal times, so they look cyclic until it gives up. Such an oracle does not judge such a world.
 """
 
 from collections.abc import Collection, Mapping
@@ -20,7 +19,8 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("limit-position", "limit-velocity", "limit-acceleration"), _PUSHED),
     **dict.fromkeys(("limit-torque", "following-bounded", "rest-when-told"), _PUSHED),
     "arrival-true": (*_PUSHED, "quirk", "delay"),
-    **dict.fromkeys(("mode-signs", "errors-listed", "pds-legal"), ("quirk",)),
+    "pds-legal": ("quirk", "delay"),
+    **dict.fromkeys(("mode-signs", "errors-listed"), ("quirk",)),
     **dict.fromkeys(("sdo-answered", "sdo-refusals"), (*_LOST, "quirk")),
     **dict.fromkeys(("heartbeat-kept", "no-reboot"), (*_LOST, "quirk", "clock", "kill")),
     **dict.fromkeys(("drive-answered", "one-drive"), (*_LOST, "quirk")),
