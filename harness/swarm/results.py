@@ -40,7 +40,7 @@ class Results:
         self.folder = folder
         self.rows = rows
         self.is_alone = together is not None
-        self._together = together or {}
+        self._together: dict[int, Row] = together or {}
         self._sort()
 
     @property

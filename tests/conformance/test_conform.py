@@ -29,7 +29,7 @@ from tests.support.kit_benches import RIGS
 
 ROOT = Path(__file__).parents[2]
 WITHOUT = '[conformance.without]\nposition_trajectory = "it has none"\n'
-MISBEHAVING = "tests.support.misbehaving_motors:build"
+MISBEHAVING = "tests.support.motors.misbehaving:build"
 THREE = ("--clause", "STATE-01", "--clause", "STOP-07", "--clause", "LOW-01")
 
 
@@ -222,7 +222,7 @@ def test_adaptation_with_own_rig_is_tested_on_it():
 
 
 def test_refused_homing_is_not_claimed_and_faults_are_assumed(capfd, tmp_path):
-    words = ("--adaptation", "tests.support.misbehaving_motors:homeless", "-o", str(tmp_path))
+    words = ("--adaptation", "tests.support.motors.misbehaving:homeless", "-o", str(tmp_path))
     assert main(["conform", *words, "--clause", "HOME-01", "--clause", "HOME-02"]) == 0
     told = capfd.readouterr().out
     assert "HOME-01   not applicable" in told

@@ -17,11 +17,11 @@ from motorhil.harness.conformance.worker import _Worker
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi.locking.directory import VARIABLE
-from tests.support import misbehaving_motors as misbehaving
+from tests.support.motors import misbehaving
 
 pytestmark = pytest.mark.wall
 ROOT = Path(__file__).parents[2]
-MISBEHAVING = "tests.support.misbehaving_motors:build"
+MISBEHAVING = "tests.support.motors.misbehaving:build"
 CLAUSE = "STATE-01"  # this clause disables the motor
 DEADLINE_S = 2.0  # enough on a busy machine
 PLACELESS = (  # without a known start
@@ -107,7 +107,7 @@ def test_garbage_of_checks_is_bounded(supervisor):
 )
 @pytest.mark.filterwarnings("ignore:coroutine 'promised':RuntimeWarning")
 def test_builder_without_motor_is_reported_with_rig_line(build, told):
-    target = Target(Job(f"tests.support.misbehaving_motors:{build}", str(misbehaving.RIG)))
+    target = Target(Job(f"tests.support.motors.misbehaving:{build}", str(misbehaving.RIG)))
     verdict = run_clause(all_clauses()[CLAUSE], target.opener())
     assert (verdict.result, verdict.place) == (Result.CRASHED, "")
     line = 1 + misbehaving.RIG.read_text().splitlines().index('adaptation = "ideal"')
@@ -117,18 +117,18 @@ def test_builder_without_motor_is_reported_with_rig_line(build, told):
 
 def test_target_that_is_not_a_function_is_wrong_usage():
     with pytest.raises(RigError, match="none_at_all: is a 'int'; name a function"):
-        Target(Job("tests.support.misbehaving_motors:none_at_all"))
+        Target(Job("tests.support.motors.misbehaving:none_at_all"))
 
 
 def test_error_while_reading_claims_is_reported_with_line():
-    job = Job("tests.support.misbehaving_motors:shy", str(misbehaving.RIG))
-    with pytest.raises(RigError, match=r"misbehaving_motors.py:\d+: PluginError: .*KeyError"):
+    job = Job("tests.support.motors.misbehaving:shy", str(misbehaving.RIG))
+    with pytest.raises(RigError, match=r"misbehaving.py:\d+: PluginError: .*KeyError"):
         _Worker(job.packed()).claims()
 
 
 def test_claim_that_raises_fails_only_clauses_that_need_it():
     """The error was once counted against the first clause only."""
-    target = Target(Job("tests.support.misbehaving_motors:alone", str(misbehaving.RIG)))
+    target = Target(Job("tests.support.motors.misbehaving:alone", str(misbehaving.RIG)))
     claims = Claims(target.opener())
     for _ in range(2):
         with pytest.raises(AttributeError, match="'level'"):

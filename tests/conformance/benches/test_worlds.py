@@ -14,7 +14,7 @@ from tests.conformance.test_correct_variants import accusations
 from tests.support.kit_benches import KINDS, RIGS
 
 CLAUSES = list(all_clauses())
-MISBEHAVING = "tests.support.misbehaving_motors:build"
+MISBEHAVING = "tests.support.motors.misbehaving:build"
 _STRIDE = 40
 
 

@@ -154,7 +154,7 @@ def test_variation_that_claims_less_is_not_accused(capfd):
 def test_failure_repeats_on_its_bench(capfd, tmp_path, monkeypatch):
     monkeypatch.setenv("MISBEHAVE", str(tmp_path / "harm"))
     (tmp_path / "harm").write_text("has_a_bug")
-    adaptation = "tests.support.misbehaving_motors:build"
+    adaptation = "tests.support.motors.misbehaving:build"
     words = ["conform", "--adaptation", adaptation, "-o", str(tmp_path), "--clause", "STATE-01"]
     assert main([*words, "--benches", "reversing gear"]) == 1
     out = capfd.readouterr().out
