@@ -38,8 +38,8 @@ class Results:
         self, folder: Path, rows: dict[int, Row], together: dict[int, Row] | None = None
     ) -> None:
         self.folder = folder
-        self.rows = rows
-        self.is_alone = together is not None
+        self.rows: dict[int, Row] = rows
+        self.is_alone: bool = together is not None
         self._together: dict[int, Row] = together or {}
         self._sort()
 

@@ -61,7 +61,7 @@ class ViewServer(ThreadingHTTPServer):
         self.page: bytes = page.encode()
         self.report: Callable[[], str] = report
         self.places: Semaphore = Semaphore(PAGES_MAX)
-        self.address_family = AF_INET6 if ":" in host else AF_INET
+        self.address_family: int = AF_INET6 if ":" in host else AF_INET
         super().__init__((host, port), _Handler)
         self.port: int = self.server_address[1]
         name = f"[{host}]" if ":" in host else host
