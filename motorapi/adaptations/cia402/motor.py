@@ -429,7 +429,7 @@ class Cia402Motor(Motor):
         """Stop a drive that was last seen without power, in case it has been enabled since."""
         if self._node.status_is_cyclic:
             self._control.stop_once_enabled(word, watch)
-        else:  # nobody has asked; a quick stop enables no drive
+        else:  # its status was not read lately; a quick stop enables no drive
             self._control.send_quick_stop(watch)
 
     def _watch_rest(self, *, needs_bit: bool) -> RestWatch:
