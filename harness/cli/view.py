@@ -18,12 +18,11 @@ from motorhil.harness.cli.options import (
     add_eds,
     add_max_memory,
     attachments_of,
-    whole,
 )
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.processes import STOPPING
 from motorhil.harness.cli.report import add_bit_rates
-from motorhil.harness.cli.viewing import PORT_MAX, pace_of, record_for
+from motorhil.harness.cli.viewing import add_pace, add_port, record_for
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.errors import TraceError
 
@@ -57,13 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "args", nargs="*", default=[], metavar="ARGS", help="the program's own arguments"
     )
-    parser.add_argument(
-        "--pace",
-        type=pace_of,
-        default=1.0,
-        metavar="X",
-        help="seconds of the rig in one second (default: 1)",
-    )
+    add_pace(parser, default=1.0)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="keep the record of the rig or bus"
     )
@@ -87,13 +80,7 @@ def add_server(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="IP address of the page (default: 127.0.0.1, this machine only)",
     )
-    parser.add_argument(
-        "--port",
-        type=whole(0, PORT_MAX),
-        default=0,
-        metavar="N",
-        help="port of the page (default: any free one)",
-    )
+    add_port(parser, "--port")
     parser.add_argument(
         "--token", metavar="TEXT", help="token in the address (default: a new one each time)"
     )
@@ -107,7 +94,8 @@ def run(options: argparse.Namespace) -> int:
         TraceError: the recording cannot be read, or the port cannot be opened.
     """
     path = Path(options.file)
-    if path.is_file() and path.suffix != ".toml" and options.script is None:
+    is_recording = path.suffix == ".mcap" or (path.is_file() and path.suffix != ".toml")
+    if is_recording and options.script is None:
         return _serve(options)
     if options.token is not None or options.listen != LOOPBACK:
         what = "--listen and --token are for the page of a file"

@@ -19,7 +19,7 @@ from motorhil.harness.cli.options import whole
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.mcap.writer import CHUNK_NS
 
-PORT_MAX: Final = 65_535
+_PORT_MAX: Final = 65_535
 CHUNK_S: Final = 0.05
 """Longest time after which a watched recording is written [s of wall time]."""
 _UNPACED_NS: Final = 500_000_000
@@ -31,26 +31,33 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view", action="store_true", help="show a live page; its address goes to stderr"
     )
+    add_port(parser, "--view-port")
+
+
+def add_port(parser: argparse.ArgumentParser, flag: str) -> None:
+    """Add the port of the page under this flag; 0 by default."""
     parser.add_argument(
-        "--view-port",
-        type=whole(0, PORT_MAX),
+        flag,
+        type=whole(0, _PORT_MAX),
         default=0,
         metavar="N",
-        help="port of the live page (default: any free one)",
+        help="port of the page (default: any free one)",
     )
 
 
-def add_pace(parser: argparse.ArgumentParser) -> None:
-    """Add `--pace`."""
+def add_pace(parser: argparse.ArgumentParser, default: float | None = None) -> None:
+    """Add `--pace`; None: no limit by default."""
+    usual = "no limit" if default is None else f"{default:g}"
     parser.add_argument(
         "--pace",
-        type=pace_of,
+        type=_pace,
+        default=default,
         metavar="X",
-        help="let at most X seconds of the rig pass in one second (default: no limit)",
+        help=f"let at most X seconds of the rig pass in one second (default: {usual})",
     )
 
 
-def pace_of(text: str) -> float:
+def _pace(text: str) -> float:
     """Read a pace, such as 10 or 10x, for argparse's `type`."""
     try:
         pace = float(text.removesuffix("x"))

@@ -73,7 +73,6 @@ class Session:
         self._found.rig.data_bitrates.update(subject.data_bitrates)
         self._increments = Increments()
         self._identifiers = IdentifierTable()
-        self._counted: dict[str, int] = {}
         self._faults: dict[str, str] = {}
         self._crc = 0
         self._bounded = 0
@@ -165,8 +164,7 @@ class Session:
     def _count(self) -> None:
         """Count the new messages of each bus for the table."""
         for traffic in self._found.traffics():
-            fresh = traffic.latest(traffic.frames - self._counted.get(traffic.name, 0))
-            self._counted[traffic.name] = traffic.frames
+            fresh = self._increments.fresh(traffic)
             bus = self._found.buses.get(traffic.name)
             self._identifiers.count(traffic, fresh, None if bus is None else bus.contents)
 

@@ -115,6 +115,12 @@ def test_status_of_a_failed_program_is_kept(wheels, tmp_path):
         assert watched.interrupted()[0] == 7
 
 
+def test_missing_recording_is_named_as_a_file(capsys):
+    assert main(["view", "nothing.mcap"]) == 2
+    told = "nothing.mcap: cannot be read: no such file or directory; check the name\n"
+    assert capsys.readouterr().err == told
+
+
 def test_live_bus_is_watched_while_it_is_recorded(wheels):
     code = "from motorhil.harness.cli.main import main; main(['serve', 'wheels/rig.toml'"
     serve = subprocess.Popen(
