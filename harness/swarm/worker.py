@@ -57,6 +57,8 @@ _SENT_MAX: Final = 1 << 24
 """Length of a record that is sent, at most [bytes]."""
 _LEFT: Final = "left"
 _PASSING: Final = "motorhil-swarm-"
+_WORLD: Final = "world"
+_SENT: Final = "sent.mcap"
 _NEW_S: Final = 60.0
 _TOLD: Final = (Result.PASSED, Result.FAILED, Result.TIMEOUT)
 """Results that are the program's."""
@@ -110,10 +112,12 @@ def _passing() -> Iterator[Path]:
 
 
 def _is_left(folder: Path) -> bool:
-    """Return True if no worker has the folder any more."""
+    """Return True if it is a worker's folder, and no worker has it any more."""
     try:
         if time.time() - folder.stat().st_mtime < _NEW_S:  # perhaps not locked yet
             return False
+        if not {one.name for one in folder.iterdir()} <= {_WORLD, _SENT}:
+            return False  # a user's own folder
         lock = os.open(folder, os.O_RDONLY)
     except OSError:
         return False
@@ -150,9 +154,9 @@ class Worker:
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self._plan = plan
-        self._folder = folder / "world"
+        self._folder = folder / _WORLD
         self._folder.mkdir(exist_ok=True)
-        self._sent = folder / "sent.mcap"
+        self._sent = folder / _SENT
         self._table = describe(Path(plan.rig)).world.swarm
         warm(plan, self._folder)
         self._tidy()

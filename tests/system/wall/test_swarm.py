@@ -438,6 +438,10 @@ def test_folder_that_a_killed_worker_left_is_removed_later(folder, tmp_path, mon
     assert left.exists()  # it is in use
     os.kill(first.pid, signal.SIGKILL)
     first.close()
-    os.utime(left, (0, 0))
+    own = tmp_path / "motorhil-swarm-results"
+    own.mkdir()
+    (own / "plan.json").write_text("{}")
+    for one in (left, own):
+        os.utime(one, (0, 0))
     WorkerProcess(table).close()
-    assert not list(tmp_path.glob("motorhil-swarm-*"))
+    assert list(tmp_path.glob("motorhil-swarm-*")) == [own]
