@@ -13,6 +13,7 @@ from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.command.build_py import build_py
 from setuptools.modified import newer_group
 
 # The modules on a frame's way from plant to record and application, as profiles of the demo, csp,
@@ -150,5 +151,17 @@ class EveryCore(build_ext):
         )
 
 
+class WithDigest(build_py):
+    """A build command that adds the digest of the sources to a wheel."""
+
+    def run(self) -> None:
+        """Copy the modules; in an editable installation they change, and are read when asked."""
+        super().run()
+        if not self.editable_mode:
+            source = runpy.run_path("motorhil/harness/source.py")
+            place = Path(self.build_lib) / "motorhil" / source["FILE"]
+            place.write_text(source["digest_of"](Path("motorhil")) + "\n", "ascii")
+
+
 if __name__ == "__main__":  # not if tests read the lists above
-    setup(ext_modules=extensions(), cmdclass={"build_ext": EveryCore})
+    setup(ext_modules=extensions(), cmdclass={"build_ext": EveryCore, "build_py": WithDigest})

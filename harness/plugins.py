@@ -120,7 +120,7 @@ class Plugin:
 def installed(group: str) -> dict[str, Plugin]:
     """Return a group's plugins by name, in alphabetical order; the first one found counts."""
     found: dict[str, Plugin] = {}
-    for entry_point in _entry_points(group, tuple(sys.path)):
+    for entry_point in _entry_points(tuple(sys.path))(group=group):
         plugin = Plugin(entry_point.name, entry_point.value, entry_point)
         found.setdefault(entry_point.name, plugin)
     return dict(sorted(found.items()))
@@ -158,7 +158,10 @@ def own_eds(target: str) -> Path | None:
     return None
 
 
-@lru_cache(maxsize=4)
-def _entry_points(group: str, path: tuple[str, ...]) -> metadata.EntryPoints:
-    """Return the entry points along `path` (sys.path); cached, because the search takes ms."""
-    return metadata.entry_points(group=group)
+@lru_cache(maxsize=1)
+def _entry_points(path: tuple[str, ...]) -> Callable[..., metadata.EntryPoints]:
+    """Return a selection from all entry points along `path` (sys.path).
+
+    Cached, because reading them takes 5 ms, whatever the group.
+    """
+    return metadata.entry_points().select

@@ -138,8 +138,7 @@ class Hooks:
         """Return the hooks of a motor; each field has the name of its hook."""
         names = [field.name for field in fields(cls)]
         calls = {name: _guarded(motor, f"_{name}") for name in names[1:]}
-        heard, seen = calls["latest"], motor._physical.seen  # noqa: SLF001  (of the class below)
-        calls["latest"] = lambda: seen(heard())
+        calls["latest"] = _latest_of(motor)
         return cls(type(motor).__qualname__, **calls)
 
     def fire(self, trigger: Trigger) -> None:
@@ -169,6 +168,23 @@ def _guarded(motor: "MotorHooks", name: str) -> Any:
             raise PluginError(plugin=plugin, where=name, problem=repr(error)) from error
 
     return call
+
+
+def _latest_of(motor: "MotorHooks") -> Callable[[], Measurement | None]:
+    """Return the guarded call of `_latest`, which recorders make hundreds of times a second."""
+    seen = motor._physical.seen  # noqa: SLF001  (of the class below)
+
+    def latest() -> Measurement | None:
+        try:
+            heard = motor._latest()  # noqa: SLF001  (of the class below)
+        except MotorError:
+            raise
+        except Exception as error:
+            plugin = type(motor).__qualname__
+            raise PluginError(plugin=plugin, where="_latest", problem=repr(error)) from error
+        return seen(heard)
+
+    return latest
 
 
 @final

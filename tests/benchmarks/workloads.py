@@ -24,6 +24,7 @@ ROUNDS = 3
 SETPOINT = struct.Struct("<IB3xHi2x")
 SYNC = struct.pack("<IB3x8x", 0x080, 0)
 BUS_FRAMES = 5_000
+FAR_POINT_M = (1_000.0, 100.0, 0.5)
 BUS_ROUNDS = 15
 TARGETS = [round(8_000 - 8_000 * math.cos(2 * math.pi * k / 1_000)) for k in range(1_000)]
 
@@ -71,6 +72,55 @@ def demo() -> Figures:
         ("demo, not recorded", simulated_s / silent, "x real time"),
         ("recording, all channels, per frame on the bus", (recorded - silent) / frames * 1e6, "us"),
         ("demo, CPU per frame on the bus", recorded / frames * 1e6, "us"),
+    ]
+
+
+# --- a long run that repeats nothing
+
+
+def long(simulated_s: float = 600.0) -> Figures:
+    """Measure the rover on ever new legs, recorded, in one process, imports not counted."""
+    from motorhil.harness.cli.demo import RIG
+    from motorhil.harness.examples.rover import Rover
+    from motorhil.harness.examples.rover_kinematics import Leg
+    from motorhil.harness.rig.rig import Rig
+
+    draw = Random("long run")
+
+    def new_legs() -> list[Leg]:
+        sign = draw.choice((-1, 1))
+        arc = Leg.arc(draw.uniform(0.8, 2.5), sign * draw.uniform(0.3, 1.2))
+        crab = Leg.crab(draw.uniform(0.3, 1.0), draw.uniform(-0.9, 0.9))
+        return [arc, crab, Leg.turn(-sign * draw.uniform(0.3, 1.2))]
+
+    with TemporaryDirectory() as folder:
+        begun = time.process_time()
+        with Rig.open(RIG, record=Path(folder) / "long.mcap") as rig:
+            runtime = rig.runtime
+            rover = Rover(rig.groups["wheels"], rig.groups["steering"], rig.groups["mast"])
+            rover.switch_on()
+            arrived = False
+            looking = runtime.spawn(
+                "mast", lambda: rover.keep_looking(runtime, FAR_POINT_M, lambda: arrived)
+            )
+            legs = 0
+            while runtime.now_ns() < simulated_s * 1e9:
+                for leg in new_legs():
+                    rover.drive(leg)
+                    legs += 1
+            arrived = True
+            looking.join()
+            assert looking.error is None, looking.error
+            rover.switch_off()
+            simulated_s = runtime.now_ns() / 1e9
+        spent = time.process_time() - begun
+        frames = sum(rig.world.bus(name).statistics.frames for name in rig.world.bus_names())
+        size = (Path(folder) / "long.mcap").stat().st_size
+    return [
+        ("rover on ever new legs, recorded", simulated_s / spent, "x real time"),
+        ("rover on ever new legs, CPU per frame on the bus", spent / frames * 1e6, "us"),
+        ("rover on ever new legs: legs", legs, ""),
+        ("rover on ever new legs: bytes a frame in the record", size / frames, "B"),
     ]
 
 
@@ -321,7 +371,7 @@ def kit() -> Figures:
     return [("conformance kit, cia402, CPU", spent, "s")]
 
 
-WORKLOADS = {"demo": demo, "csp": csp, "rest": rest, "bus": bus, "kit": kit}
+WORKLOADS = {"demo": demo, "long": long, "csp": csp, "rest": rest, "bus": bus, "kit": kit}
 
 if __name__ == "__main__":
     for name, figure, unit in WORKLOADS[sys.argv[1]]():
