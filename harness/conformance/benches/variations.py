@@ -94,6 +94,7 @@ _MESSAGES: Final = "".join(
     f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
     for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))  # above the drives, and below
 )
+_HEARD_LATE: Final = ("latency_s = [0.0, 0.001]", "latency_s = [-0.003, 0.001]")  # by start()
 _BUSY: list[Change] = [  # half of the bus; too much for a slow one, so its rate is spelt otherwise
     (_RATE_AND_LEFT, f"bitrate_bit_s = 1000000\n\n{_MESSAGES}[controller.left]")
 ]
@@ -151,11 +152,12 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     "three motors": _THREE,
     "slow bus": [
         ("1_000_000", "125_000"),
-        ("latency_s = [0.0, 0.001]", "latency_s = [-0.003, 0.001]"),  # start() hears of it late
+        _HEARD_LATE,
     ],
     "busy bus": _BUSY,
     READ: [],
     APART: [],
+    "quirk slow_sdo": [*of_drive('quirks = ["slow_sdo"]'), _HEARD_LATE],
     "slow SDO server": of_drive("timing = { sdo_reply_s = 0.005 }"),
     "friction": [
         *of_plant("coulomb_friction_n_m = 0.008"),
@@ -173,7 +175,6 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
         "halt_holds_mode",
         "stray_emcy",
         "misplaced_error_register",
-        "slow_sdo",
         "heartbeat_jitter",
     )
 }
@@ -187,6 +188,7 @@ _GENERAL: Final = (
 _CONTRADICTORY: Final = (
     {"limited jerk", "linear axis"},
     {"priority queues", "two buses with equal node-IDs"},
+    {"slow bus", "quirk slow_sdo"},
 )
 """Pairs whose texts fit together, but make no rig."""
 _AND: Final = " + "

@@ -256,6 +256,11 @@ def position_goes_on_beyond_the_counter(bench: RigProtocol) -> None:
         with suppress(RigError), bench.altered({}, {_BEGIN: begin}):  # not in the drive's reach
             if abs(bench.motor.position() - begin) > 0.01 * abs(way):
                 continue  # it counts from elsewhere, as some do from the place at power-on
+            inwards = TrapezoidalTrajectory(-0.01 * way)
+            bench.motor.enable()
+            if isinstance(failure_of(partial(follow, bench.motor, inwards)), LimitError):
+                continue  # its own limits of position are nearer
+            finish(bench, bench.motor)
             found = True
             _expect_across(bench, end, way)
     if not found:
