@@ -22,7 +22,7 @@ from motorhil.harness.cli.options import (
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.processes import STOPPING
 from motorhil.harness.cli.report import add_bit_rates
-from motorhil.harness.cli.viewing import add_pace, add_port, record_for
+from motorhil.harness.cli.viewing import add_pace, add_paused, add_port, record_for
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.errors import TraceError
 
@@ -57,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "args", nargs="*", default=[], metavar="ARGS", help="the program's own arguments"
     )
     add_pace(parser, default=1.0)
+    add_paused(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="keep the record of the rig or bus"
     )
@@ -95,6 +96,8 @@ def run(options: argparse.Namespace) -> int:
     """
     path = Path(options.file)
     is_recording = path.suffix == ".mcap" or (path.is_file() and path.suffix != ".toml")
+    if options.paused and path.suffix != ".toml":
+        raise RigError(path, "is not a rig file; --paused is for a rig's time", "name a rig")
     if is_recording and options.script is None:
         return _serve(options)
     if options.token is not None or options.listen != LOOPBACK:
@@ -119,6 +122,7 @@ def _run_rig(options: argparse.Namespace) -> int:
         "--pace",
         f"{options.pace:g}",
     ]
+    words += ["--paused"] if options.paused else []
     words += [] if options.output is None else ["--output", str(options.output)]
     words += [] if options.script is None else [options.script, *options.args]
     return run_verb.run(_options_of(run_verb, words, options.rest))
@@ -145,6 +149,7 @@ def _options_of(verb: _Verb, words: list[str], rest: list[str] | None) -> argpar
 def _serve(options: argparse.Namespace) -> int:
     """Serve the page of a file."""
     from motorhil.harness.recording.conversion import open_recording
+    from motorhil.harness.view.desk import Desk
     from motorhil.harness.view.page import live_page
     from motorhil.harness.view.server import ViewServer
     from motorhil.harness.view.source import Source
@@ -153,6 +158,7 @@ def _serve(options: argparse.Namespace) -> int:
     title = options.title or Path(options.file).name
     with open_recording(options.file, teller("view"), attachments, options.max_memory) as trace:
         source = Source(trace, lambda one: _session(one, options, title))
+        desk = Desk(_to_rig, source.wake) if options.beside else None
         try:
             server = ViewServer(
                 source,
@@ -161,20 +167,29 @@ def _serve(options: argparse.Namespace) -> int:
                 options.listen,
                 options.port,
                 options.token,
+                desk,
             )
         except OSError as error:
             place = f"{options.listen}:{options.port}"
             raise TraceError(place, f"cannot be opened: {error.strerror}") from None
         with server:
             print(server.address, flush=True)
-            if options.beside:
+            if desk is not None:
                 os.nice(_NICE)
-                sys.stdin.read()  # until the process that records has ended
+                for line in sys.stdin.buffer:  # until the process that records has ended
+                    desk.hear(line)
+                desk.close()
             else:
                 _wait()
     if source.problem:
         print(source.problem, file=sys.stderr)
     return PASSED
+
+
+def _to_rig(line: bytes) -> None:
+    """Pass a request of a page to the process beside which it is served."""
+    sys.stdout.buffer.write(line)
+    sys.stdout.buffer.flush()
 
 
 def _wait() -> None:

@@ -42,6 +42,7 @@ from motorhil.harness.plugins import (
     installed,
     named,
 )
+from motorhil.harness.rig.acts import Acts
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import (
     CAN,
@@ -67,8 +68,8 @@ from motorhil.harness.rig.config.toml import (
     refuse_source,
 )
 from motorhil.harness.rig.config.units import Comparison, compare_units, require_units
+from motorhil.harness.rig.fragment import read_fragment
 from motorhil.harness.rig.nonvolatile import MemoryFiles
-from motorhil.harness.rig.stimuli import schedule
 from motorhil.harness.virtual_time.interrupts import interrupts_between_events
 from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
 from motorhil.motorapi.errors import FileError, UsageError
@@ -500,6 +501,7 @@ class Rig:
         controllers, motors, groups: by name, in the order of the file; motors and groups are
             created on first use.
         faults: faults of the rig, to inject and to query.
+        acts: stimuli and faults at given times.
         recording: the recorder; None if nothing is recorded.
         notes: notes for readers of the rig's results, one line each.
     """
@@ -530,7 +532,9 @@ class Rig:
             self.world.tap_events(lambda *event: started.append(event))
             self._add_buses()
             self._add_controllers()
-            schedule(description, self.world, self._build_controller)
+            self.faults: RigFaults = RigFaults(self.world)
+            self.acts: Acts = Acts(description, self.world, self.faults, self._build_controller)
+            self.acts.schedule()
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
             if doubts:
                 self._doubt(started)
@@ -547,7 +551,6 @@ class Rig:
             self._cleanup = cleanup.pop_all()
         self._in_use = ExitStack()  # resources of applications; closed before the rest
         self._warns_at_end = False
-        self.faults: RigFaults = RigFaults(self.world)
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
         )
@@ -576,7 +579,7 @@ class Rig:
             seed: overrides the rig's own seed.
             realtime: True to run no faster than the wall clock.
             record: an MCAP file for the recording.
-            world: a fragment of `motorhil swarm`, with the disturbances of one of its worlds.
+            world: a fragment with the disturbances of one world, or a recording that has one.
             pace: most seconds of the rig in one second of wall time; None: no limit.
             chunk_ns: longest time after which the recording is written, by the rig's time [ns].
 
@@ -679,7 +682,8 @@ class Rig:
 
     def _add_buses(self) -> None:
         for bus in self.description.buses.values():
-            rules = [fault.rule for fault in self.description.faults if fault.bus == bus.name]
+            known = [one for one in self.description.faults if not one.by_hand]
+            rules = [fault.rule for fault in known if fault.bus == bus.name]
             stream = Random(f"{self.seed}:bus.{bus.name}.faults")
             clocks = own_clocks(self.description, bus.name, self.seed)
             add_bus(self.world, bus, rules, stream.random, clocks)
@@ -844,7 +848,11 @@ class Rig:
 
 
 def describe(path: Path, world: Path | None = None) -> RigDescription:
-    """Read a rig file, or the rig in a recording; a rig file may have a world's fragment.
+    """Read a rig file, or the rig in a recording.
+
+    Args:
+        path: a rig file, or a recording.
+        world: a fragment for the rig file, or a recording that has one.
 
     Raises:
         RigError: the rig cannot be used.
@@ -860,7 +868,7 @@ def describe(path: Path, world: Path | None = None) -> RigDescription:
         return rig_in(path, known)
     if path.suffix == ".mcap" and path.exists():
         raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")
-    return read_rig(path, known, world)
+    return read_rig(path, known, None if world is None else read_fragment(world))
 
 
 def installed_plugins() -> Known:

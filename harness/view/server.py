@@ -5,6 +5,7 @@ that takes nothing for a while loses its connection, then reconnects with its la
 """
 
 from collections.abc import Callable
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from secrets import token_urlsafe
@@ -14,6 +15,7 @@ from typing import Final, final
 from urllib.parse import parse_qs, urlsplit
 
 from motorhil.harness.view.access import LOOPBACK, Access
+from motorhil.harness.view.desk import BODY_MAX, BUSY, Desk
 from motorhil.harness.view.source import Source
 
 PAGES_MAX: Final = 16
@@ -43,6 +45,7 @@ class ViewServer(ThreadingHTTPServer):
         host: str = "127.0.0.1",
         port: int = 0,
         token: str | None = None,
+        desk: Desk | None = None,
     ) -> None:
         """Open the port.
 
@@ -53,14 +56,17 @@ class ViewServer(ThreadingHTTPServer):
             host: IP address at which it listens.
             port: 0: any free one.
             token: the token in the address; None: a new one.
+            desk: takes requests for the rig; None: there is none.
 
         Raises:
             OSError: the port cannot be opened.
         """
         self.source: Source = source
+        self.desk: Desk = desk or Desk(lambda line: None, source.wake)
         self.page: bytes = page.encode()
         self.report: Callable[[], str] = report
         self.places: Semaphore = Semaphore(PAGES_MAX)
+        self.hands: Semaphore = Semaphore(2 * PAGES_MAX)  # requests that are read or wait
         self.address_family: int = AF_INET6 if ":" in host else AF_INET
         super().__init__((host, port), _Handler)
         self.port: int = self.server_address[1]
@@ -97,20 +103,56 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         address = urlsplit(self.path)
-        tokens = parse_qs(address.query).get("token", [None])
-        refusal = self.server.access.refusal(
-            self.headers.get("Host"), self.headers.get("Origin"), tokens[0]
-        )
-        if refusal is not None:
-            self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal.encode())
-        elif address.path == "/":
+        desk = self.server.desk
+        if self._is_refused(address.query):
+            return
+        if address.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
         elif address.path == "/report":
             self._answer(HTTPStatus.OK, "text/html", self.server.report().encode())
         elif address.path == "/events":
             self._events(self.headers.get("Last-Event-ID"))
+        elif address.path == "/hands" and desk.is_open:
+            self._answer(HTTPStatus.OK, "application/json", desk.elements().encode())
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page")
+
+    def do_POST(self) -> None:
+        address = urlsplit(self.path)
+        desk = self.server.desk
+        self.close_connection = True  # the body may not have been read
+        if self._is_refused(address.query):
+            return
+        if address.path != "/hands" or not desk.is_open:
+            self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no rig in virtual time is here")
+            return
+        if self.headers.get("Content-Type") != "application/json":  # no form of another site
+            text = b"Content-Type: is not application/json"
+            self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "text/plain", text)
+            return
+        size = self.headers.get("Content-Length", "")
+        if not (size.isascii() and size.isdigit() and len(size) < 8 and int(size) <= BODY_MAX):
+            text = f"request: has no length of up to {BODY_MAX} bytes".encode()
+            self._answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", text)
+            return
+        if not self.server.hands.acquire(blocking=False):
+            self._answer(HTTPStatus(BUSY), "text/plain", b"rig: too many requests; try later")
+            return
+        try:
+            status, answer = desk.post(self.rfile.read(int(size)))
+        finally:
+            self.server.hands.release()
+        self._answer(HTTPStatus(status), "text/plain", answer.encode())
+
+    def _is_refused(self, query: str) -> bool:
+        """Return True after a refusal: the request is of another site, or without the token."""
+        tokens = parse_qs(query).get("token", [None])
+        refusal = self.server.access.refusal(
+            self.headers.get("Host"), self.headers.get("Origin"), tokens[0]
+        )
+        if refusal is not None:
+            self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal.encode())
+        return refusal is not None
 
     def log_message(self, format: str, *args: object) -> None:
         """Print nothing: the address has the token in it."""
@@ -152,9 +194,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _stream(self, position: str | None) -> None:
         """Send events until the record is complete, or the page or the server leaves."""
-        source = self.server.source
+        source, desk, seen = self.server.source, self.server.desk, 0
         while not source.is_stopped:
-            events = source.events(position, _QUIET_S)
+            if desk.has_news(seen):
+                seen = desk.revision
+                self.wfile.write(f"event: hands\ndata: {desk.state()}\n\n".encode())
+            events = source.events(position, _QUIET_S, partial(desk.has_news, seen))
             if events:
                 self.wfile.write(b"".join(event.text() for event in events))
                 position = events[-1].position
@@ -165,5 +210,5 @@ class _Handler(BaseHTTPRequestHandler):
             elif source.is_over:
                 self.wfile.write(b"event: over\ndata: \n\n")
                 return
-            elif not source.is_stopped:
+            elif not source.is_stopped and not desk.has_news(seen):
                 self.wfile.write(b":\n\n")
