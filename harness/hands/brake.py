@@ -96,9 +96,7 @@ class Brake:
             try:
                 request = checked(table if isinstance(table, dict) else {})
                 is_act = isinstance(request, ACTS)
-                if is_act and due_ns - self._hands.now_ns() < 2:
-                    if self.held_ns is not None:  # no instant is free before the next event
-                        self.held_ns = max(self.held_ns, due_ns)
+                if is_act and not self._has_room(due_ns):
                     return False
                 self._fulfil(request, due_ns)
             except RefusedError as error:
@@ -112,6 +110,16 @@ class Brake:
             self._tell()
         return False
 
+    def _has_room(self, due_ns: int) -> bool:
+        """Return True if an act can take effect before the next event."""
+        if self.held_ns is not None and self.held_ns >= due_ns:
+            return False  # a step is not over
+        if due_ns - self._hands.now_ns() >= 2:
+            return True
+        if self.held_ns is not None:
+            self.held_ns = due_ns  # no instant is free before the next event: after it
+        return False
+
     def _fulfil(self, request: Request, due_ns: int) -> None:
         """Do as requested.
 
@@ -123,7 +131,8 @@ class Brake:
         elif isinstance(request, Continue):
             self._release()
         elif isinstance(request, Step):
-            self.held_ns = self._stop(due_ns) + round(request.for_s * 1e9)
+            held_ns = self._stop(due_ns) if self.held_ns is None else self.held_ns
+            self.held_ns = held_ns + round(request.for_s * 1e9)
         elif isinstance(request, Speed):
             self._anchor(self._position_ns(due_ns))
             self.pace = request.pace
@@ -155,15 +164,14 @@ class Brake:
         self._wall_ns, self._rig_ns = self._clock_ns(), rig_ns
 
     def _position_ns(self, due_ns: int) -> int:
-        """Return where a hand stops time [ns]: without a pace after the latest event."""
-        if self.held_ns is None and self.pace is None:
+        """Return where a hand stops time [ns]: without a pace, or in a step, at the last event."""
+        if self.pace is None if self.held_ns is None else self.held_ns >= due_ns:
             return self._hands.now_ns()
         return self._reached_ns(due_ns)
 
     def _stop(self, due_ns: int) -> int:
         """Let time stand still; return where [ns]."""
-        if self.held_ns is None:
-            self.held_ns = self._position_ns(due_ns)
+        self.held_ns = self._position_ns(due_ns)
         self._is_settled = False
         return self.held_ns
 

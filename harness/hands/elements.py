@@ -54,10 +54,12 @@ def _inputs(twin: Controller, described: ControllerDescription) -> list[dict[str
     plant = _plant(described)
     found = []
     for name in names_of(twin):
+        low, high, rest = _range(name, plant)
         kind = _kind(twin, name)
+        if not kind:
+            continue
         table: dict[str, Any] = {"name": name, "kind": kind, "unit": ""}
         if kind == NUMBER:
-            low, high, rest = _range(name, plant)
             unit = next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
             table |= {"unit": unit, "low": low, "high": high, "rest": rest}
         elif kind != CODE:
@@ -79,14 +81,16 @@ def names_of(controller: Controller) -> list[str]:
 
 
 def _kind(twin: Controller, name: str) -> str:
-    """Return the kind of an input, by the values that it takes."""
+    """Return the kind of an input, by the values that it takes; "": the rig permits none."""
     if _takes(twin, name, 0.5):
         return NUMBER
     if _takes(twin, name, 2.0):
         return CODE
     if _takes(twin, name, -1.0):
         return SWITCH
-    return TOGGLE if _takes(twin, name, 1.0) and _takes(twin, name, 0.0) else CODE
+    if _takes(twin, name, 1.0):
+        return TOGGLE if _takes(twin, name, 0.0) else CODE
+    return ""
 
 
 def _takes(twin: Controller, name: str, value: float) -> bool:
@@ -107,7 +111,7 @@ def _range(name: str, plant: MotorPlant | None) -> tuple[float, float, float]:
     torque = _TORQUE_N_M
     if plant is not None:
         torque = plant.torque_constant_n_m_a * plant.current_max_a * plant.gear_ratio
-    return -2.0 * torque, 2.0 * torque, 0.0
+    return -2.0 * torque, 2.0 * torque, 0.0 if plant is None else plant.load_torque_n_m
 
 
 def _plant(one: ControllerDescription) -> MotorPlant | None:

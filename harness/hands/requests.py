@@ -35,7 +35,7 @@ class Continue:
 class Step:
     """Let a duration pass, and then stop time."""
 
-    for_s: float = number(STEP_S, 1e-6, 3600.0, "s", "How long.")
+    for_s: float = number(STEP_S, 1e-6, 60.0, "s", "How long.")
 
 
 @final

@@ -42,6 +42,11 @@ class Desk:
         """True if there is a rig with hands."""
         return self._elements is not None
 
+    def opens(self, patience_s: float = _PATIENCE_S) -> bool:
+        """Wait until a rig has told its elements; return False if there is none."""
+        with self._condition:
+            return self._condition.wait_for(lambda: self.is_open, patience_s)
+
     def has_news(self, seen: int) -> bool:
         """Return True if there is a state after this revision."""
         return self.is_open and self.revision != seen

@@ -62,7 +62,7 @@ class ViewServer(ThreadingHTTPServer):
             OSError: the port cannot be opened.
         """
         self.source: Source = source
-        self.desk: Desk = desk or Desk(lambda line: None, source.wake)
+        self.desk: Desk | None = desk
         self.page: bytes = page.encode()
         self.report: Callable[[], str] = report
         self.places: Semaphore = Semaphore(PAGES_MAX)
@@ -112,7 +112,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, "text/html", self.server.report().encode())
         elif address.path == "/events":
             self._events(self.headers.get("Last-Event-ID"))
-        elif address.path == "/hands" and desk.is_open:
+        elif address.path == "/hands" and desk is not None and desk.is_open:
             self._answer(HTTPStatus.OK, "application/json", desk.elements().encode())
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page")
@@ -123,7 +123,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True  # the body may not have been read
         if self._is_refused(address.query):
             return
-        if address.path != "/hands" or not desk.is_open:
+        if address.path != "/hands" or desk is None or not desk.opens():
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no rig in virtual time is here")
             return
         if self.headers.get("Content-Type") != "application/json":  # no form of another site
@@ -196,10 +196,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Send events until the record is complete, or the page or the server leaves."""
         source, desk, seen = self.server.source, self.server.desk, 0
         while not source.is_stopped:
-            if desk.has_news(seen):
+            if desk is not None and desk.has_news(seen):
                 seen = desk.revision
                 self.wfile.write(f"event: hands\ndata: {desk.state()}\n\n".encode())
-            events = source.events(position, _QUIET_S, partial(desk.has_news, seen))
+            is_due = partial(desk.has_news, seen) if desk is not None else bool
+            events = source.events(position, _QUIET_S, is_due)
             if events:
                 self.wfile.write(b"".join(event.text() for event in events))
                 position = events[-1].position
@@ -210,5 +211,5 @@ class _Handler(BaseHTTPRequestHandler):
             elif source.is_over:
                 self.wfile.write(b"event: over\ndata: \n\n")
                 return
-            elif not source.is_stopped and not desk.has_news(seen):
+            elif not source.is_stopped and not is_due():
                 self.wfile.write(b":\n\n")

@@ -149,8 +149,10 @@ function connect() {
   for (const kind of ["whole", "more"]) {
     source.addEventListener(kind, (event) => { live.queue = live.queue.then(() => receive(kind, event)).catch((error) => { fail(String(error)); }); });
   }
+  source.addEventListener("hands", (event) => takeHands(JSON.parse(event.data)));
   const end = (link, text) => {
     source.close();
+    endHands();
     live.queue = live.queue.then(() => tell(link, text));
   };
   source.addEventListener("over", () => end("complete", "complete: the whole record is here"));
@@ -167,7 +169,7 @@ function connect() {
 
 function begin() {
   $("bar").prepend($("live"));
-  $("bar").after($("tables"));
+  $("bar").after($("hands"), $("tables"));
   for (const window_s of WINDOWS) {
     const option = make("option", $("window"), Number.isFinite(window_s) ? `last ${window_s} s` : "all");
     option.value = window_s;

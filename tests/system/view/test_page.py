@@ -5,7 +5,6 @@ import json
 import pytest
 
 from motorhil.harness.view import increments
-from tests.support.browser import Browser, chromium
 from tests.support.view.growing import free_port, served
 
 pytestmark = pytest.mark.wall
@@ -21,36 +20,6 @@ PICTURE = """JSON.stringify({
       .filter((one) => one[1]).map((one) => one[0])])),
   incidents: report.incidents.list.map((one) => one.slice(1)),
 })"""
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    with Browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
-
-
-@pytest.fixture
-def page(browser):
-    """Return a function that opens a live view; check that no request went elsewhere."""
-    asked = []
-
-    def open_(server):
-        asked.append(server.address.partition("?")[0])
-        browser.call("Page.navigate", url=server.address)
-        browser.wait("document.documentElement.dataset.live")
-        return browser
-
-    browser.call("Page.navigate", url="about:blank")
-    browser.requests.clear()
-    browser.errors.clear()
-    browser.size(1400, 900)
-    browser.media()
-    yield open_
-    assert [one for one in browser.requests if not one.startswith(tuple(asked))] == []
-    assert [one for one in browser.errors if "ERR_" not in one] == []  # a server that was stopped
-    assert browser.run("document.documentElement.dataset.error || ''") == ""
 
 
 def has(browser, messages):
