@@ -148,5 +148,6 @@ def needed(kind: str, is_line: bool, node: str) -> str:
             continue
         key = rule.required[-1 if is_line or kind == "error" else 0]
         value = {"nodes": f'["{node}"]', "sender": f'"{node}"', "error": '"crc"'}.get(key)
-        found.append(f"{key} = {value or keys[key].kind.example()}")
+        example = keys[key].kind.example().partition(" or ")[0]  # the first of several words
+        found.append(f"{key} = {value or example}")
     return ", ".join(found)

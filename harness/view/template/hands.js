@@ -1,5 +1,6 @@
 // Hands on a rig: its time, inputs of controllers, faults of buses. Absent for files and live buses.
 const hands = { elements: null, state: null, shown: null, over: false };
+const INPUTS_SHOWN = 16;
 const PACES = [0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100];
 
 // Sends a request; returns true if the rig has taken it. Its answer is shown.
@@ -92,7 +93,13 @@ function drawController(controller) {
       button.setAttribute("aria-pressed", String(Boolean(cut())));
     });
   }
-  for (const input of controller.inputs) DRAW_INPUT[input.kind](controller.name, input);
+  const [first, more] = [controller.inputs.slice(0, INPUTS_SHOWN), controller.inputs.slice(INPUTS_SHOWN)];
+  for (const input of first) DRAW_INPUT[input.kind](controller.name, input, $("inputs"));
+  if (!more.length) return;
+  const rest = make("details", $("inputs"));
+  make("summary", rest, `${more.length} more inputs`);
+  const row = make("div", rest, "", "row");
+  for (const input of more) DRAW_INPUT[input.kind](controller.name, input, row);
 }
 
 const valueOf = (controller, input) => ((hands.state.values[controller] || {})[input.name] ?? input.rest);
@@ -114,8 +121,8 @@ function sender(controller, input) {
 }
 
 const DRAW_INPUT = {
-  number: (controller, input) => {
-    const row = make("div", $("inputs"), "", "input"), send = sender(controller, input);
+  number: (controller, input, parent) => {
+    const row = make("div", parent, "", "input"), send = sender(controller, input);
     make("span", row, input.unit ? `${input.name} [${input.unit}]` : input.name);
     const range = make("input", row), exact = make("input", row);
     Object.assign(range, { type: "range", min: input.low, max: input.high, step: (input.high - input.low) / 200 });
@@ -128,20 +135,20 @@ const DRAW_INPUT = {
       for (const one of [range, exact]) if (document.activeElement !== one) one.value = valueOf(controller, input);
     });
   },
-  toggle: (controller, input) => {
+  toggle: (controller, input, parent) => {
     const send = sender(controller, input);
-    const button = addButton($("inputs"), input.name, () => send(1 - valueOf(controller, input)));
+    const button = addButton(parent, input.name, () => send(1 - valueOf(controller, input)));
     hands.draws.push(() => button.setAttribute("aria-pressed", String(valueOf(controller, input) === 1)));
   },
-  switch: (controller, input) => {
-    const label = make("label", $("inputs"), `${input.name} `), select = make("select", label), send = sender(controller, input);
+  switch: (controller, input, parent) => {
+    const label = make("label", parent, `${input.name} `), select = make("select", label), send = sender(controller, input);
     select.setAttribute("aria-label", input.name);
-    for (const [value, text] of [[-1, "as it is"], [0, "0"], [1, "1"]]) make("option", select, text).value = value;
+    for (const [value, text] of [[-1, "free"], [0, "0"], [1, "1"]]) make("option", select, text).value = value;
     select.addEventListener("change", () => send(Number(select.value)));
     hands.draws.push(() => { if (document.activeElement !== select) select.value = valueOf(controller, input); });
   },
-  code: (controller, input) => {
-    const row = make("span", $("inputs"), "", "row"), exact = make("input", make("label", row, `${input.name} `)), send = sender(controller, input);
+  code: (controller, input, parent) => {
+    const row = make("span", parent, "", "row"), exact = make("input", make("label", row, `${input.name} `)), send = sender(controller, input);
     Object.assign(exact, { size: 8, placeholder: "code" });
     addButton(row, `cause ${input.name}`, () => {
       const text = exact.value.trim(), value = /^[0-9a-f]+h$/i.test(text) ? parseInt(text, 16) : Number(text);
