@@ -32,7 +32,7 @@ class Script:
         self._count = 0
 
     def wait(self, timeout_s):
-        if not self.inbox:
+        if timeout_s > 0.0 and not self.inbox:
             ends_ns = self.now_ns + max(1, round(timeout_s * 1e9))
             self.now_ns = min([ends_ns, *(max(at_ns, self.now_ns) for at_ns, _ in self._ahead[:1])])
         while self._ahead and self._ahead[0][0] <= self.now_ns:
