@@ -5,7 +5,7 @@ The rig file and the live page use the same acts, so that a recorded act repeats
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, final
+from typing import final
 
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.simulation.event_queue import Action
@@ -13,9 +13,7 @@ from motorhil.emulators.simulation.world import World
 from motorhil.harness.rig.config.faults import FaultDescription
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 from motorhil.harness.rig.config.stimuli import StimulusDescription
-
-if TYPE_CHECKING:
-    from motorhil.harness.rig.rig import RigFaults
+from motorhil.harness.rig.faults import RigFaults
 
 
 @final
@@ -26,7 +24,7 @@ class Acts:
         self,
         description: RigDescription,
         world: World,
-        faults: "RigFaults",
+        faults: RigFaults,
         build: Callable[[ControllerDescription], Controller],
     ) -> None:
         """Act on a world; `build` makes twins of controllers, which check stimuli in advance."""

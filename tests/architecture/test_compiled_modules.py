@@ -29,6 +29,7 @@ INTERPRETED = {
         "motorapi/adaptations/host_servo/occupation.py",
         "harness/rig/acts.py",
         "harness/rig/bus_load.py",
+        "harness/rig/faults.py",
         "harness/rig/fragment.py",
         "harness/rig/nonvolatile.py",
         "harness/rig/rig.py",
