@@ -13,7 +13,7 @@ from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_seed, time_ns
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.viewing import (
-    Pipes,
+    Beside,
     add_pace,
     add_paused,
     add_view,
@@ -118,10 +118,10 @@ def run(options: argparse.Namespace) -> int:
         if options.view and target is not None:
             cleanup.callback(rig.close)
             name = rig.description.name
-            pipes = cleanup.enter_context(page_of(target, name, options.view_port, stays=True))
-            hands = cleanup.enter_context(_hands_on(rig, pipes, pace, options.paused))
+            page = cleanup.enter_context(page_of(target, name, options.view_port, stays=True))
+            hands = cleanup.enter_context(_hands_on(rig, page, pace, options.paused))
         status = _run(options, rig, script, words)
-        if hands is not None and hands.count and script is not None:
+        if hands is not None and hands.count and (script or rig.description.programs):
             print(_handless(options, rig, words, hands.count), file=sys.stderr)
         if status != PASSED and script is not None:
             print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
@@ -129,14 +129,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _hands_on(rig: "Rig", pipes: Pipes, pace: float | None, is_stopped: bool) -> "Iterator[Hands]":
+def _hands_on(rig: "Rig", page: Beside, pace: float | None, is_stopped: bool) -> "Iterator[Hands]":
     """Let the page act on the rig until the context ends."""
     from motorhil.harness.hands.brake import Brake
     from motorhil.harness.hands.channel import Channel
     from motorhil.harness.hands.hands import Hands
 
     hands = Hands(rig)
-    brake = Brake(hands, Channel(pipes.requests, pipes.answers), pace, is_stopped)
+    brake = Brake(hands, Channel(page.requests, page.answers), pace, is_stopped)
     rig.runtime.follow(brake)
     try:
         yield hands
@@ -208,7 +208,8 @@ class _End:
 
 
 def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
-    command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
+    script = [] if options.script is None else [options.script]
+    command = ["motorhil", "run", str(options.rig), *script, "--seed", str(rig.seed)]
     if options.realtime:
         command.append("--realtime")
     if options.pace is not None:

@@ -1,4 +1,4 @@
-"""The verb `view`: a page on loopback that shows a recording, a rig or a live bus.
+"""The verb `view`: a page on loopback that shows a recording, a rig, a live bus or a campaign.
 
 A rig and a bus are recorded as by `run` and `record`, with their option `--view`.
 """
@@ -8,6 +8,9 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Final, Protocol
@@ -44,13 +47,13 @@ class _Verb(Protocol):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
     parser.usage = (
-        "motorhil view [-h] [options] FILE | WHERE | RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+        "motorhil view [-h] [options] FILE | WHERE | DIR | RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
     parser.add_argument(
         "file",
-        metavar="FILE | WHERE | RIG",
+        metavar="FILE | WHERE | RIG | DIR",
         help="a recording of any format (an MCAP file may still grow), a live bus as for `record "
-        "--on`, or a rig file (TOML), which runs as by `run`",
+        "--on`, a rig file (TOML), which runs as by `run`, or the folder of a campaign of `swarm`",
     )
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="the rig's program")
     parser.add_argument(
@@ -100,6 +103,8 @@ def run(options: argparse.Namespace) -> int:
         raise RigError(path, "is not a rig file; --paused is for a rig's time", "name a rig")
     if is_recording and options.script is None:
         return _serve(options)
+    if path.is_dir() and options.script is None:
+        return _serve_campaign(options, path)
     if options.token is not None or options.listen != LOOPBACK:
         what = "--listen and --token are for the page of a file"
         raise RigError(path, what, "record with -o FILE, then view that file")
@@ -159,19 +164,10 @@ def _serve(options: argparse.Namespace) -> int:
     with open_recording(options.file, teller("view"), attachments, options.max_memory) as trace:
         source = Source(trace, lambda one: _session(one, options, title))
         desk = Desk(_to_rig, source.wake) if options.beside else None
-        try:
-            server = ViewServer(
-                source,
-                live_page(title),
-                lambda: _report(options, title),
-                options.listen,
-                options.port,
-                options.token,
-                desk,
-            )
-        except OSError as error:
-            place = f"{options.listen}:{options.port}"
-            raise TraceError(place, f"cannot be opened: {error.strerror}") from None
+        place = options.listen, options.port, options.token
+        with _opened(options):
+            report = partial(_report, options, title)
+            server = ViewServer(source, live_page(title), report, *place, desk)
         with server:
             print(server.address, flush=True)
             if desk is not None:
@@ -184,6 +180,32 @@ def _serve(options: argparse.Namespace) -> int:
     if source.problem:
         print(source.problem, file=sys.stderr)
     return PASSED
+
+
+def _serve_campaign(options: argparse.Namespace, folder: Path) -> int:
+    """Serve the page of a campaign, which another process may still write."""
+    from motorhil.harness.view.campaign import CampaignServer
+
+    with _opened(options):
+        server = CampaignServer(folder, options.listen, options.port, options.token)
+    with server:
+        print(server.address, flush=True)
+        if options.beside:
+            os.nice(_NICE)
+            sys.stdin.buffer.read()  # until the process of the campaign has ended
+        else:
+            _wait()
+    return PASSED
+
+
+@contextmanager
+def _opened(options: argparse.Namespace) -> Iterator[None]:
+    """Tell of a port that cannot be opened (TraceError)."""
+    try:
+        yield
+    except OSError as error:
+        place = f"{options.listen}:{options.port}"
+        raise TraceError(place, f"cannot be opened: {error.strerror}") from None
 
 
 def _to_rig(line: bytes) -> None:

@@ -9,9 +9,10 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, final
@@ -96,19 +97,25 @@ def record_for(output: Path | None, is_watched: bool) -> Iterator[Path | None]:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Pipes:
-    """File descriptors: of requests that a page sends, and for answers to them."""
+class Beside:
+    """The process of a page beside this one.
+
+    Attributes:
+        requests, answers: file descriptors, of requests that a page sends and for answers to them.
+        stay: keeps the page until Ctrl-C.
+    """
 
     requests: int
     answers: int
+    stay: Callable[[], None]
 
 
 @contextmanager
-def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Pipes]:
-    """Serve the page of a recording in progress while the context is open.
+def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Beside]:
+    """Serve the page of a recording in progress, or of a campaign, while the context is open.
 
     Args:
-        recording: the file; its head must be written.
+        recording: the file, whose head must be written; or the folder of a campaign.
         title: title of the page.
         port: its port; 0: any free one.
         stays: True to keep the page after the end of the context, until Ctrl-C.
@@ -134,14 +141,19 @@ def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Pip
         if not address:
             raise RigError(recording, "its page cannot be served", "see the message above")
         print(f"page: {address}", file=sys.stderr, flush=True)
-        yield Pipes(server.stdout.fileno(), server.stdin.fileno())
+        beside = Beside(server.stdout.fileno(), server.stdin.fileno(), partial(_stay, server))
+        yield beside
         if stays:
-            with suppress(KeyboardInterrupt):
-                print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
-                server.wait()
+            beside.stay()
     finally:
         server.terminate()
         server.wait()
         for pipe in (server.stdin, server.stdout):
             if pipe is not None:
                 pipe.close()
+
+
+def _stay(server: "subprocess.Popen[bytes]") -> None:
+    with suppress(KeyboardInterrupt):
+        print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
+        server.wait()

@@ -25,12 +25,10 @@ class Watched:
         )
         self.told = []
         self.pid = self._process.pid
-        self.port, self.token = self._address()
-        self.address = f"http://127.0.0.1:{self.port}/?token={self.token}"
-
-    def _address(self):
-        found = re.search(r"page: http://127.0.0.1:(\d+)/\?token=(\S+)", self.line("page: "))
-        return int(found[1]), found[2]
+        found = re.search(
+            r"page: (http://127.0.0.1:(\d+)/(?:\?token=)?([\w-]+)/?)", self.line("page: ")
+        )
+        self.address, self.port, self.token = found[1], int(found[2]), found[3]
 
     def line(self, begin):
         """Return the next line on stderr that begins so."""

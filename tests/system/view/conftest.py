@@ -33,10 +33,10 @@ def page(browser):
     """Return a function that opens a live view; check that no request went elsewhere."""
     asked = []
 
-    def open_(server):
+    def open_(server, ready="document.documentElement.dataset.live"):
         asked.append(server.address.partition("?")[0])
         browser.call("Page.navigate", url=server.address)
-        browser.wait("document.documentElement.dataset.live")
+        browser.wait(ready)
         return browser
 
     browser.call("Page.navigate", url="about:blank")
