@@ -89,6 +89,8 @@ class _Handler(PageHandler):
             self.answer(HTTPStatus.OK, "text/html", self.server.report().encode())
         elif address.path == "/events":
             self._events(self.headers.get("Last-Event-ID"))
+        elif address.path == "/stretch":
+            self._stretch(parse_qs(address.query))
         elif address.path == "/hands" and desk is not None and desk.is_open:
             self.answer(HTTPStatus.OK, "application/json", desk.elements().encode())
         else:
@@ -120,6 +122,19 @@ class _Handler(PageHandler):
         finally:
             self.server.hands.release()
         self.answer(HTTPStatus(status), "text/plain", answer.encode())
+
+    def _stretch(self, query: dict[str, list[str]]) -> None:
+        """Send all points between two times."""
+        try:
+            from_s, to_s = (float(query[key][0]) for key in ("from", "to"))
+        except (KeyError, ValueError):
+            from_s, to_s = 0.0, -1.0
+        if not from_s <= to_s:
+            text = b"stretch: has no times from and to [s], such as from=1.0&to=1.5"
+            self.answer(HTTPStatus.BAD_REQUEST, "text/plain", text)
+            return
+        text = self.server.source.stretch(from_s, to_s).encode()
+        self.answer(HTTPStatus.OK, "text/plain", text)
 
     def _is_refused(self, query: str) -> bool:
         return self.is_refused(self.server.access, parse_qs(query).get("token", [None])[0])

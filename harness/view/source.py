@@ -60,6 +60,11 @@ class Source:
         """True if the recording is complete and all of it is in the events."""
         return self._session is not None and self._session.is_over
 
+    def stretch(self, from_s: float, to_s: float) -> str:
+        """Return all points between two times of the page [s]; "": nothing is there yet."""
+        with self._changed:
+            return "" if self._session is None else self._session.stretch(from_s, to_s)
+
     def wake(self) -> None:
         """Let all pages look whether there is anything but events."""
         with self._changed:

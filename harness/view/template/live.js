@@ -50,6 +50,7 @@ function takePicture(told) {
   adopt(told);
   compose();
   indexLines();
+  forgetDetail();
   for (const one of document.querySelectorAll("#charts > section")) {
     if (open.has(one.id)) one.querySelector("details").open = open.get(one.id);
   }
@@ -62,6 +63,7 @@ function takePicture(told) {
   }
   layout();
   redraw();
+  rangeDetail();
   if (words) find(words);
   scrollTo(0, top);
   if (focused && $(focused)) $(focused).focus({ preventScroll: true });
@@ -179,7 +181,7 @@ function begin() {
   $("pause").addEventListener("click", () => { if (live.follows) pause(); else follow(); });
   $("find").addEventListener("input", () => find($("find").value));
   $("report").href = "report" + location.search;
-  document.addEventListener("range", () => { if (!live.moving && report && live.link !== "complete") pause(); });
+  document.addEventListener("range", () => { if (!live.moving && report && live.link !== "complete") pause(); if (report) rangeDetail(); });
   KEYS[" "] = () => { if (live.follows) pause(); else follow(); };
   KEYS.l = KEYS.End = () => follow();
   KEYS["/"] = () => $("find").focus();

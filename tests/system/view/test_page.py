@@ -149,6 +149,26 @@ def test_messages_show_period_and_data(page, demo):
     assert len(row[6].split()) == 6
 
 
+def test_zoom_into_a_reduced_picture_gets_all_points(page, demo, monkeypatch):
+    shown_points = """(() => {
+      const line = [...lines.values()].reduce((a, b) => b.points > a.points ? b : a);
+      return line.t.filter((at) => at > 4.0 && at < 4.5).length; })()"""
+    with served(demo) as server:
+        one = page(server)
+        has(one, ALL)
+        every = one.run(shown_points)
+        monkeypatch.setattr(increments, "POINTS_MAX", 2_000)
+        page(server)
+        has(one, ALL)
+        few = one.run(shown_points)
+        assert 0 < 2 * few < every
+        one.run("setRange(4.0, 4.5)")
+        one.wait("document.documentElement.dataset.detail")
+        assert one.run(shown_points) == every
+        one.run("setRange(0, SPAN)")
+        assert one.run(shown_points) == few
+
+
 def test_keyboard_alone_suffices(page, demo):
     with served(demo) as server:
         one = page(server)
