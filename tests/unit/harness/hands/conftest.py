@@ -1,5 +1,6 @@
 """Fixtures: rigs of the examples, driven by hand without a page."""
 
+from collections import deque
 from random import Random
 from shutil import copytree
 
@@ -23,7 +24,7 @@ class Script:
 
     def __init__(self, requests):
         """Take (wall time [s], act), in order."""
-        self.inbox = []
+        self.inbox = deque()
         self.is_open = True
         self.now_ns = 0
         self.answers, self.states = {}, []
@@ -51,16 +52,9 @@ class Script:
         self.states.append(state)
 
 
-class Inbox(list):
-    """A list with the method of a deque."""
-
-    def popleft(self):
-        return self.pop(0)
-
-
 @pytest.fixture
 def driven(tmp_path):
-    """Return a function that runs a program in a rig, with or without hands, and records it."""
+    """Return a function that runs the wheels' program in a rig, with or without hands."""
     folder = copytree(EXAMPLES, tmp_path / "examples")
 
     def run(name, record, requests=None, pace=1.0, is_stopped=False, **options):
@@ -69,7 +63,6 @@ def driven(tmp_path):
             channel = None
             if requests is not None:
                 channel = Script(requests)
-                channel.inbox = Inbox()
                 clock = lambda: channel.now_ns  # noqa: E731 -- as short as it is
                 rig.runtime.follow(Brake(Hands(rig), channel, pace, is_stopped, clock))
             run_script(rig, script, (), on_error=lambda error, name: None)

@@ -4,7 +4,7 @@ import pytest
 
 from motorhil.harness.hands.brake import Brake
 from motorhil.harness.hands.requests import Stimulate
-from tests.unit.harness.hands.conftest import Inbox, Script
+from tests.unit.harness.hands.conftest import Script
 
 MS = 1_000_000
 LOAD = {"act": "stimulus", "controller": "left", "name": "load_torque_n_m", "value": 1.0}
@@ -42,7 +42,6 @@ def brake():
 
     def make(requests, pace=1.0, is_stopped=False):
         channel, hand = Script(requests), Hand()
-        channel.inbox = Inbox()
         return Brake(hand, channel, pace, is_stopped, lambda: channel.now_ns), channel, hand
 
     return make

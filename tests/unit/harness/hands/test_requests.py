@@ -2,8 +2,9 @@
 
 import pytest
 
-from motorhil.harness.hands.hands import RefusedError, checked
+from motorhil.harness.hands.hands import Hands, RefusedError, checked
 from motorhil.harness.hands.requests import Inject, Speed, Step, Stimulate, Stop
+from motorhil.harness.rig.rig import Rig
 from motorhil.traces.digest import digest
 
 
@@ -97,3 +98,11 @@ def test_rig_refuses_and_continues(driven, act, told):
     assert "\n" not in channel.answers[1]
     assert channel.states[-1]["acts"] == 0
     assert digest(by_hand) == digest(plain)
+
+
+def test_recorded_rig_has_its_time_only(demo, tmp_path):
+    with Rig.open(demo, record=tmp_path / "again.mcap") as rig:
+        hands = Hands(rig)
+        assert hands.elements() == {"controllers": [], "buses": []}
+        with pytest.raises(RefusedError, match="rig: is a recording"):
+            hands.act(Stimulate(controller="drive_fl", name="sto", value=1.0), 1)
