@@ -12,7 +12,8 @@ WAITING_MAX: Final = 16
 """Limit of requests that the rig has not answered; a pipe holds as many of BODY_MAX bytes."""
 BODY_MAX: Final = 2_048
 """Longest request [bytes]."""
-_PATIENCE_S: Final = 2.0
+_PATIENCE_S: Final = 5.0
+_OPENING_S: Final = 20.0
 ANSWERED, REFUSED, LATER, BUSY = 200, 400, 202, 503  # HTTP
 _OVER: Final = "rig: the run is over"
 
@@ -42,7 +43,7 @@ class Desk:
         """True if there is a rig with hands."""
         return self._elements is not None
 
-    def opens(self, patience_s: float = _PATIENCE_S) -> bool:
+    def opens(self, patience_s: float = _OPENING_S) -> bool:
         """Wait until a rig has told its elements; return False if there is none."""
         with self._condition:
             return self._condition.wait_for(lambda: self.is_open, patience_s)

@@ -210,6 +210,19 @@ def test_foreign_requests_are_refused(wheels):
         assert post(port, path, act, Origin=own)[::2] == (200, b"done")
 
 
+def test_view_of_a_rig_has_the_same_hands(wheels, capsys):
+    words = ("view", "wheels/rig.toml", "wheels/drive.py", "--paused", "--pace", "50")
+    with Watched(*words) as watched:
+        assert watched.act(act="stimulus", controller="left", name="home", value=1) == (200, "done")
+        assert watched.act(act="continue") == (200, "done")
+        watched.line("1 act by hand; -o FILE keeps them in a recording")
+        assert watched.interrupted()[0] == 0
+    assert main(["run", "wheels/rig.toml", "wheels/drive.py", "--paused"]) == 2
+    assert "--paused needs a page that lets time pass; add --view" in capsys.readouterr().err
+    assert main(["view", "hands.mcap", "--paused"]) == 2
+    assert "is not a rig file; --paused is for a rig's time" in capsys.readouterr().err
+
+
 def test_file_has_no_hands(demo):
     with served(demo) as server:
         assert post(server.port, "/hands?token=t0ken", {"act": "stop"})[0] == 404
