@@ -4,15 +4,23 @@ import argparse
 import code
 import shlex
 import sys
-from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.cli.main import PASSED
 from motorhil.harness.cli.options import add_seed, time_ns
 from motorhil.harness.cli.printable import teller
-from motorhil.harness.cli.viewing import add_pace, add_view, chunk_ns, page_of, record_for
+from motorhil.harness.cli.viewing import (
+    Beside,
+    add_pace,
+    add_paused,
+    add_view,
+    chunk_ns,
+    page_of,
+    record_for,
+)
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.script import (
@@ -27,6 +35,7 @@ from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.traces.errors import TraceError
 
 if TYPE_CHECKING:
+    from motorhil.harness.hands.hands import Hands
     from motorhil.harness.rig.rig import Rig
 
 _EPILOG: Final = """\
@@ -41,8 +50,8 @@ the script.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `run`."""
     parser.usage = (
-        "motorhil run [-h] [--realtime] [--pace X] [--view] [--seed N] [--until S] [--world FILE] "
-        "[-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+        "motorhil run [-h] [--realtime] [--pace X] [--view] [--paused] [--seed N] [--until S] "
+        "[--world FILE] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
     parser.epilog = _EPILOG
     parser.add_argument(
@@ -60,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_pace(parser)
     add_view(parser)
+    add_paused(parser)
     add_seed(parser)
     parser.add_argument(
         "--until",
@@ -71,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--world",
         type=Path,
         metavar="FILE",
-        help="a fragment of `motorhil swarm`: the disturbances of one world",
+        help="disturb the rig: a fragment of `motorhil swarm`, or a recording with acts by hand",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="record to FILE (MCAP)")
 
@@ -92,7 +102,10 @@ def run(options: argparse.Namespace) -> int:
     script = None if options.script is None else read_script(options.script)
     if script is None and words:
         raise RigError(options.rig, "arguments, but no script to take them", "name a script")
+    if options.paused and not options.view:
+        raise RigError(options.rig, "--paused needs a page that lets time pass", "add --view")
     pace = 1.0 if options.realtime else options.pace
+    hands = None
     with record_for(options.output, options.view) as target, ExitStack() as cleanup:
         rig = Rig.open(
             options.rig,
@@ -104,13 +117,40 @@ def run(options: argparse.Namespace) -> int:
         )
         if options.view and target is not None:
             cleanup.callback(rig.close)
-            cleanup.enter_context(
-                page_of(target, rig.description.name, options.view_port, stays=True)
-            )
+            name = rig.description.name
+            page = cleanup.enter_context(page_of(target, name, options.view_port, stays=True))
+            hands = cleanup.enter_context(_hands_on(rig, page, pace, options.paused))
         status = _run(options, rig, script, words)
+        if hands is not None and hands.count and (script or rig.description.programs):
+            print(_handless(options, rig, words, hands.count), file=sys.stderr)
         if status != PASSED and script is not None:
             print(f"again: {_repeat_command(options, rig, words)}", file=sys.stderr)
     return status
+
+
+@contextmanager
+def _hands_on(rig: "Rig", page: Beside, pace: float | None, is_stopped: bool) -> "Iterator[Hands]":
+    """Let the page act on the rig until the context ends."""
+    from motorhil.harness.hands.brake import Brake
+    from motorhil.harness.hands.channel import Channel
+    from motorhil.harness.hands.hands import Hands
+
+    hands = Hands(rig)
+    brake = Brake(hands, Channel(page.requests, page.answers), pace, is_stopped)
+    rig.runtime.follow(brake)
+    try:
+        yield hands
+    finally:
+        brake.end()
+
+
+def _handless(options: argparse.Namespace, rig: "Rig", words: list[str], count: int) -> str:
+    """Return how to repeat the run without hands."""
+    acts = f"{count} act{'' if count == 1 else 's'} by hand"
+    if options.output is None:
+        return f"{acts}; -o FILE keeps them in a recording"
+    again = argparse.Namespace(**{**vars(options), "world": options.output, "output": None})
+    return f"{acts}; without hands: {_repeat_command(again, rig, words)}"
 
 
 def _run(
@@ -168,7 +208,8 @@ class _End:
 
 
 def _repeat_command(options: argparse.Namespace, rig: "Rig", words: list[str]) -> str:
-    command = ["motorhil", "run", str(options.rig), options.script, "--seed", str(rig.seed)]
+    script = [] if options.script is None else [options.script]
+    command = ["motorhil", "run", str(options.rig), *script, "--seed", str(rig.seed)]
     if options.realtime:
         command.append("--realtime")
     if options.pace is not None:

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
+from pathlib import Path
 from typing import Final, final
 
 from motorhil.harness.cli.main import PASSED
@@ -23,6 +24,7 @@ from motorhil.harness.cli.times import add_span, span_of
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.recording.decoders import description_for
 from motorhil.harness.rig.config.toml import one_line
+from motorhil.harness.rig.fragment import read_fragment
 from motorhil.traces.decoding.events import PERIODIC, Fact, Kind
 from motorhil.traces.decoding.narrative import Line, Story
 from motorhil.traces.mcap.reader import Trace
@@ -68,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="follow a recording in progress until it is complete, or Ctrl-C",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
+    parser.add_argument(
+        "--hands",
+        action="store_true",
+        help="print the acts by hand instead, as a fragment for `run --world`",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -75,7 +82,11 @@ def run(options: argparse.Namespace) -> int:
 
     Raises:
         TraceError: the file cannot be read, or is damaged.
+        RigError: the recording has no acts by hand.
     """
+    if options.hands:
+        print_as_is(read_fragment(Path(options.file)).text.rstrip("\n"))
+        return PASSED
     tell = teller("show")
     attachments = attachments_of(options.eds)
     with open_recording(options.file, tell, attachments, options.max_memory) as trace:

@@ -9,7 +9,7 @@ from base64 import b64decode
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,8 @@ from motorhil.harness.cli.main import FAILED, INTERRUPTED, NOT_JUDGED, PASSED, W
 from motorhil.harness.cli.options import add_only, add_seed, real, whole
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.progress import StatusLine
+from motorhil.harness.cli.viewing import Beside, add_view
+from motorhil.harness.cli.viewing import page_of as served_page
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
 from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
@@ -84,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="print the findings of a folder and write its page; run nothing",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_view(parser)
 
 
 def _add_seeds(parser: argparse.ArgumentParser) -> None:
@@ -162,30 +165,44 @@ def run(options: argparse.Namespace) -> int:
     program = _program(options)
     if options.world is not None:
         return _run_one(options, program)
+    return _run_campaign(options, program)
+
+
+def _run_campaign(options: argparse.Namespace, program: Program) -> int:
     engine, part = _engine(options)
     tell = teller("swarm")
     kept: list[Kept] = []
-    with _ending(engine):
-        plan, results = _begun(options, program)
-        guided = not options.no_guidance
-        campaign = Campaign(plan, results, engine, options.workers, guided=guided, part=part)
-        watch = _Watch(plan, results, options, part)
-        until = None if options.for_s is None else time.monotonic() + options.for_s
-        try:
-            campaign.run(seeds_of(options.first, options.seeds), watch.take, until)
-            kept = _kept(plan, results, engine, watch, shrinks=not options.no_shrink)
-        except KeyboardInterrupt:
-            watch.end()
-            _tell(plan, results, kept_in(results.folder), options)
-            tell(f"interrupted; go on with --resume -o {results.folder}")
-            return INTERRUPTED
-        except RigError:
-            watch.end()
-            _page(plan, results, kept_in(results.folder))
-            raise
-        finally:
-            watch.end()
-    return _status(_tell(plan, results, kept, options), tell)
+    with ExitStack() as cleanup:
+        page: Beside | None = None
+        with _ending(engine):
+            plan, results = _begun(options, program)
+            guided = not options.no_guidance
+            campaign = Campaign(plan, results, engine, options.workers, guided=guided, part=part)
+            watch = _Watch(plan, results, options, part)
+            if options.view:
+                page = cleanup.enter_context(
+                    served_page(results.folder, "swarm", options.view_port, stays=False)
+                )
+            until = None if options.for_s is None else time.monotonic() + options.for_s
+            try:
+                campaign.run(seeds_of(options.first, options.seeds), watch.take, until)
+                kept = _kept(plan, results, engine, watch, shrinks=not options.no_shrink)
+            except KeyboardInterrupt:
+                watch.end()
+                _tell(plan, results, kept_in(results.folder), options)
+                tell(f"interrupted; go on with --resume -o {results.folder}")
+                return INTERRUPTED
+            except RigError:
+                watch.end()
+                _page(plan, results, kept_in(results.folder))
+                raise
+            finally:
+                watch.end()
+        status = _status(_tell(plan, results, kept, options), tell)
+        if page is not None:
+            sys.stdout.flush()
+            page.stay()
+    return status
 
 
 def _status(summary: Summary, tell: Callable[[str], None]) -> int:

@@ -1,4 +1,4 @@
-"""The verb `view`: a page on loopback that shows a recording, a rig or a live bus.
+"""The verb `view`: a page on loopback that shows a recording, a rig, a live bus or a campaign.
 
 A rig and a bus are recorded as by `run` and `record`, with their option `--view`.
 """
@@ -8,6 +8,9 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Final, Protocol
@@ -22,7 +25,7 @@ from motorhil.harness.cli.options import (
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.processes import STOPPING
 from motorhil.harness.cli.report import add_bit_rates
-from motorhil.harness.cli.viewing import add_pace, add_port, record_for
+from motorhil.harness.cli.viewing import add_pace, add_paused, add_port, record_for
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.errors import TraceError
 
@@ -44,19 +47,20 @@ class _Verb(Protocol):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
     parser.usage = (
-        "motorhil view [-h] [options] FILE | WHERE | RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+        "motorhil view [-h] [options] FILE | WHERE | DIR | RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
     parser.add_argument(
         "file",
-        metavar="FILE | WHERE | RIG",
+        metavar="FILE | WHERE | RIG | DIR",
         help="a recording of any format (an MCAP file may still grow), a live bus as for `record "
-        "--on`, or a rig file (TOML), which runs as by `run`",
+        "--on`, a rig file (TOML), which runs as by `run`, or the folder of a campaign of `swarm`",
     )
     parser.add_argument("script", nargs="?", metavar="SCRIPT", help="the rig's program")
     parser.add_argument(
         "args", nargs="*", default=[], metavar="ARGS", help="the program's own arguments"
     )
     add_pace(parser, default=1.0)
+    add_paused(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="keep the record of the rig or bus"
     )
@@ -95,8 +99,12 @@ def run(options: argparse.Namespace) -> int:
     """
     path = Path(options.file)
     is_recording = path.suffix == ".mcap" or (path.is_file() and path.suffix != ".toml")
+    if options.paused and path.suffix != ".toml":
+        raise RigError(path, "is not a rig file; --paused is for a rig's time", "name a rig")
     if is_recording and options.script is None:
         return _serve(options)
+    if path.is_dir() and options.script is None:
+        return _serve_campaign(options, path)
     if options.token is not None or options.listen != LOOPBACK:
         what = "--listen and --token are for the page of a file"
         raise RigError(path, what, "record with -o FILE, then view that file")
@@ -119,6 +127,7 @@ def _run_rig(options: argparse.Namespace) -> int:
         "--pace",
         f"{options.pace:g}",
     ]
+    words += ["--paused"] if options.paused else []
     words += [] if options.output is None else ["--output", str(options.output)]
     words += [] if options.script is None else [options.script, *options.args]
     return run_verb.run(_options_of(run_verb, words, options.rest))
@@ -145,6 +154,7 @@ def _options_of(verb: _Verb, words: list[str], rest: list[str] | None) -> argpar
 def _serve(options: argparse.Namespace) -> int:
     """Serve the page of a file."""
     from motorhil.harness.recording.conversion import open_recording
+    from motorhil.harness.view.desk import Desk
     from motorhil.harness.view.page import live_page
     from motorhil.harness.view.server import ViewServer
     from motorhil.harness.view.source import Source
@@ -153,28 +163,55 @@ def _serve(options: argparse.Namespace) -> int:
     title = options.title or Path(options.file).name
     with open_recording(options.file, teller("view"), attachments, options.max_memory) as trace:
         source = Source(trace, lambda one: _session(one, options, title))
-        try:
-            server = ViewServer(
-                source,
-                live_page(title),
-                lambda: _report(options, title),
-                options.listen,
-                options.port,
-                options.token,
-            )
-        except OSError as error:
-            place = f"{options.listen}:{options.port}"
-            raise TraceError(place, f"cannot be opened: {error.strerror}") from None
+        desk = Desk(_to_rig, source.wake) if options.beside else None
+        place = options.listen, options.port, options.token
+        with _opened(options):
+            report = partial(_report, options, title)
+            server = ViewServer(source, live_page(title), report, *place, desk)
         with server:
             print(server.address, flush=True)
-            if options.beside:
+            if desk is not None:
                 os.nice(_NICE)
-                sys.stdin.read()  # until the process that records has ended
+                for line in sys.stdin.buffer:  # until the process that records has ended
+                    desk.hear(line)
+                desk.close()
             else:
                 _wait()
     if source.problem:
         print(source.problem, file=sys.stderr)
     return PASSED
+
+
+def _serve_campaign(options: argparse.Namespace, folder: Path) -> int:
+    """Serve the page of a campaign, which another process may still write."""
+    from motorhil.harness.view.campaign import CampaignServer
+
+    with _opened(options):
+        server = CampaignServer(folder, options.listen, options.port, options.token)
+    with server:
+        print(server.address, flush=True)
+        if options.beside:
+            os.nice(_NICE)
+            sys.stdin.buffer.read()  # until the process of the campaign has ended
+        else:
+            _wait()
+    return PASSED
+
+
+@contextmanager
+def _opened(options: argparse.Namespace) -> Iterator[None]:
+    """Tell of a port that cannot be opened (TraceError)."""
+    try:
+        yield
+    except OSError as error:
+        place = f"{options.listen}:{options.port}"
+        raise TraceError(place, f"cannot be opened: {error.strerror}") from None
+
+
+def _to_rig(line: bytes) -> None:
+    """Pass a request of a page to the process beside which it is served."""
+    sys.stdout.buffer.write(line)
+    sys.stdout.buffer.flush()
 
 
 def _wait() -> None:

@@ -1,18 +1,21 @@
 """The option `--view`: a live page beside a verb that records.
 
 The page is served by a process of its own, `motorhil view`, which reads the recording as it is
-written. So it shares nothing with the rig or the recorder but the file, and cannot delay them.
+written. So it shares nothing with the rig or the recorder but the file, and cannot delay them. Two
+pipes carry requests of hands and their answers; a rig reads them between two of its events.
 """
 
 import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, final
 
 import motorhil
 from motorhil.harness.cli.options import whole
@@ -68,6 +71,13 @@ def _pace(text: str) -> float:
     return pace
 
 
+def add_paused(parser: argparse.ArgumentParser) -> None:
+    """Add `--paused`."""
+    parser.add_argument(
+        "--paused", action="store_true", help="begin with time at a standstill; the page ends it"
+    )
+
+
 def chunk_ns(pace: float | None, is_watched: bool = True) -> int:
     """Return the longest time in one chunk of a recorded rig, by the rig's time [ns]."""
     if not is_watched:
@@ -85,12 +95,27 @@ def record_for(output: Path | None, is_watched: bool) -> Iterator[Path | None]:
         yield Path(folder) / "live.mcap"
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """The process of a page beside this one.
+
+    Attributes:
+        requests, answers: file descriptors, of requests that a page sends and for answers to them.
+        stay: keeps the page until Ctrl-C.
+    """
+
+    requests: int
+    answers: int
+    stay: Callable[[], None]
+
+
 @contextmanager
-def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[None]:
-    """Serve the page of a recording in progress while the context is open.
+def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Beside]:
+    """Serve the page of a recording in progress, or of a campaign, while the context is open.
 
     Args:
-        recording: the file; its head must be written.
+        recording: the file, whose head must be written; or the folder of a campaign.
         title: title of the page.
         port: its port; 0: any free one.
         stays: True to keep the page after the end of the context, until Ctrl-C.
@@ -106,22 +131,29 @@ def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Non
         env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},
         stdin=subprocess.PIPE,  # it ends with this process
         stdout=subprocess.PIPE,
+        bufsize=0,
         process_group=0,  # Ctrl-C ends the rig first
     )
     try:
+        assert server.stdin is not None
         assert server.stdout is not None
         address = server.stdout.readline().decode().strip()
         if not address:
             raise RigError(recording, "its page cannot be served", "see the message above")
         print(f"page: {address}", file=sys.stderr, flush=True)
-        yield
+        beside = Beside(server.stdout.fileno(), server.stdin.fileno(), partial(_stay, server))
+        yield beside
         if stays:
-            with suppress(KeyboardInterrupt):
-                print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
-                server.wait()
+            beside.stay()
     finally:
         server.terminate()
         server.wait()
         for pipe in (server.stdin, server.stdout):
             if pipe is not None:
                 pipe.close()
+
+
+def _stay(server: "subprocess.Popen[bytes]") -> None:
+    with suppress(KeyboardInterrupt):
+        print("the run is over; its page stays until Ctrl-C", file=sys.stderr, flush=True)
+        server.wait()

@@ -222,6 +222,27 @@ class Recorder:
         """
         self._add(time_ns, self._channel(topic, message), encode(message, values))
 
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Record a table of strings, which is no message: the digest does not include it."""
+        if self.error is not None:
+            return
+        try:
+            self._writer.add_metadata(name, values)
+        except TraceError as error:
+            self.error = error
+            raise
+
+    def flush(self) -> None:
+        """Write everything so far, for readers of a recording whose time stands still."""
+        self._write(None)
+        if self.error is not None:
+            return
+        try:
+            self._writer.flush()
+        except TraceError as error:
+            self.error = error
+            raise
+
     def watch_motor(
         self,
         name: str,

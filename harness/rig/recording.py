@@ -11,6 +11,7 @@ from motorhil.harness.recording.ownership import LockWriter, MotorNames, MotorTa
 from motorhil.harness.recording.recorder import PERIOD_NS, Reading, Recorder, run_metadata
 from motorhil.harness.rig.config.buses import SERIAL
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
+from motorhil.harness.rig.fragment import WORLD, table_of
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.writer import CHUNK_NS, TraceWriter
 from motorhil.traces.protobuf import Value
@@ -109,6 +110,8 @@ def start_recording(
     """
     files = files_of(description)
     metadata = run_metadata(seed=seed, rig_digest=digest_of(files), command_line=sys.argv)
+    if description.source.fragment:
+        metadata[WORLD] = table_of(description.source.fragment)
     writer = TraceWriter(target, metadata, chunk_ns=chunk_ns)
     try:
         for name, media_type, data in files:

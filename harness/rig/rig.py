@@ -15,7 +15,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from random import Random
@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, final
 from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.bus.fault_plan import FaultPlan
 from motorhil.emulators.can.controller_config import PLAIN
-from motorhil.emulators.can.error_confinement import ErrorState
 from motorhil.emulators.can.fault_rules import FaultRule
 from motorhil.emulators.controller import Controller, ControllerContext, SettingError
 from motorhil.emulators.media.byte_pipe import BytePipe
@@ -42,6 +41,7 @@ from motorhil.harness.plugins import (
     installed,
     named,
 )
+from motorhil.harness.rig.acts import Acts
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import (
     CAN,
@@ -67,8 +67,9 @@ from motorhil.harness.rig.config.toml import (
     refuse_source,
 )
 from motorhil.harness.rig.config.units import Comparison, compare_units, require_units
+from motorhil.harness.rig.faults import RigFaults
+from motorhil.harness.rig.fragment import read_fragment
 from motorhil.harness.rig.nonvolatile import MemoryFiles
-from motorhil.harness.rig.stimuli import schedule
 from motorhil.harness.virtual_time.interrupts import interrupts_between_events
 from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
 from motorhil.motorapi.errors import FileError, UsageError
@@ -116,116 +117,6 @@ class RigController:
     def snapshot(self) -> Mapping[str, float]:
         """Return the true state now, units in the keys. Has no side effects."""
         return self._world.snapshot(self.name)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class NodeState:
-    """The state of a node of a CAN bus.
-
-    Attributes:
-        state: error active, above the warning limit, error passive, or bus-off.
-        tec, rec: its error counters.
-        errors: number of errors that it has detected.
-        aborted: number of its frames abandoned because of bus-off or one-shot mode.
-    """
-
-    state: ErrorState
-    tec: int
-    rec: int
-    errors: int
-    aborted: int
-
-
-@final
-class RigFaults:
-    """The faults of an open rig, to inject and to query."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-
-    def inject(self, bus: str, rule: FaultRule | SerialFaultRule) -> None:
-        """Apply the rule to the bus or line from now on.
-
-        Raises:
-            ValueError: the bus does not exist, it has had a rule of that name, or the rule is for
-                another
-                kind of bus.
-        """
-        plan = self._plan(bus)
-        if plan is None and isinstance(rule, FaultRule):
-            self._world.inject(bus, rule)
-        elif plan is not None and isinstance(rule, SerialFaultRule):
-            plan.add(rule)
-        else:
-            right = "FaultRule" if plan is None else "SerialFaultRule"
-            raise ValueError(f"bus {bus}: rule {rule.name}: its faults are of class {right}")
-
-    def _plan(self, bus: str) -> SerialFaultPlan | None:
-        """Return the fault plan of a line, or None for a CAN bus."""
-        if bus in self._world.line_names():
-            return self._world.line(bus).plan
-        self._require_bus(bus)
-        return None
-
-    def _require_bus(self, bus: str) -> None:
-        names = self._world.bus_names()
-        if bus not in names:
-            known = ", ".join(names) or "none"
-            raise ValueError(f"this rig has no CAN bus {bus!r} (known: {known})")
-
-    def lift(self, bus: str, name: str) -> None:
-        """End the rule of this name; its count stays.
-
-        Raises:
-            ValueError: the bus does not exist, or has no such rule.
-        """
-        plan = self._plan(bus)
-        if plan is None:
-            self._world.lift(bus, name)
-        else:
-            plan.remove(name)
-
-    def bus_state(self, bus: str) -> dict[str, NodeState]:
-        """Return the state of each node of the bus by name, in the order of its ports.
-
-        Raises:
-            ValueError: the CAN bus does not exist.
-        """
-        self._require_bus(bus)
-        core = self._world.bus(bus)
-        nodes = [core.node(port) for port in range(len(core.port_names()))]
-        return {
-            node.name: NodeState(
-                node.state(),
-                node.confinement.tec,
-                node.confinement.rec,
-                node.errors,
-                node.aborted,
-            )
-            for node in nodes
-        }
-
-    def restart(self, bus: str, node: str) -> None:
-        """Restart a bus-off node: it waits for 128 x 11 recessive bits from now on.
-
-        Raises:
-            ValueError: the bus or the node does not exist, or the node is not bus-off.
-        """
-        self._require_bus(bus)
-        self._world.restart(bus, node)
-
-    def fired(self) -> dict[str, int]:
-        """Return how often each rule has fired, over all buses, in the order of addition."""
-        counts: dict[str, int] = {}
-        for bus in self._world.bus_names():
-            for name, count in self._world.bus(bus).faults_fired().items():
-                counts[name] = counts.get(name, 0) + count
-        for line in self._world.line_names():
-            plan = self._plan(line)
-            for name, count in ({} if plan is None else plan.fired()).items():
-                counts[name] = counts.get(name, 0) + count
-        return counts
 
 
 @final
@@ -500,6 +391,7 @@ class Rig:
         controllers, motors, groups: by name, in the order of the file; motors and groups are
             created on first use.
         faults: faults of the rig, to inject and to query.
+        acts: stimuli and faults at given times.
         recording: the recorder; None if nothing is recorded.
         notes: notes for readers of the rig's results, one line each.
     """
@@ -530,7 +422,9 @@ class Rig:
             self.world.tap_events(lambda *event: started.append(event))
             self._add_buses()
             self._add_controllers()
-            schedule(description, self.world, self._build_controller)
+            self.faults: RigFaults = RigFaults(self.world)
+            self.acts: Acts = Acts(description, self.world, self.faults, self._build_controller)
+            self.acts.schedule()
             self.notes += [f"{name}: {level}: {text}" for _, level, name, text in started]
             if doubts:
                 self._doubt(started)
@@ -547,7 +441,6 @@ class Rig:
             self._cleanup = cleanup.pop_all()
         self._in_use = ExitStack()  # resources of applications; closed before the rest
         self._warns_at_end = False
-        self.faults: RigFaults = RigFaults(self.world)
         self.controllers: Mapping[str, RigController] = Named(
             "controller", description.controllers, self._controller
         )
@@ -576,7 +469,7 @@ class Rig:
             seed: overrides the rig's own seed.
             realtime: True to run no faster than the wall clock.
             record: an MCAP file for the recording.
-            world: a fragment of `motorhil swarm`, with the disturbances of one of its worlds.
+            world: a fragment with the disturbances of one world, or a recording that has one.
             pace: most seconds of the rig in one second of wall time; None: no limit.
             chunk_ns: longest time after which the recording is written, by the rig's time [ns].
 
@@ -679,7 +572,8 @@ class Rig:
 
     def _add_buses(self) -> None:
         for bus in self.description.buses.values():
-            rules = [fault.rule for fault in self.description.faults if fault.bus == bus.name]
+            known = [one for one in self.description.faults if not one.by_hand]
+            rules = [fault.rule for fault in known if fault.bus == bus.name]
             stream = Random(f"{self.seed}:bus.{bus.name}.faults")
             clocks = own_clocks(self.description, bus.name, self.seed)
             add_bus(self.world, bus, rules, stream.random, clocks)
@@ -844,7 +738,11 @@ class Rig:
 
 
 def describe(path: Path, world: Path | None = None) -> RigDescription:
-    """Read a rig file, or the rig in a recording; a rig file may have a world's fragment.
+    """Read a rig file, or the rig in a recording.
+
+    Args:
+        path: a rig file, or a recording.
+        world: a fragment for the rig file, or a recording that has one.
 
     Raises:
         RigError: the rig cannot be used.
@@ -860,7 +758,7 @@ def describe(path: Path, world: Path | None = None) -> RigDescription:
         return rig_in(path, known)
     if path.suffix == ".mcap" and path.exists():
         raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")
-    return read_rig(path, known, world)
+    return read_rig(path, known, None if world is None else read_fragment(world))
 
 
 def installed_plugins() -> Known:

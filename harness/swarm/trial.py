@@ -24,6 +24,7 @@ from motorhil.harness.oracles.limits import VelocityLimit
 from motorhil.harness.rig.config.rig_file import Known, RigDescription, read_rig
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import UNDECLARED
+from motorhil.harness.rig.fragment import read_fragment
 from motorhil.harness.rig.recording import files_of
 from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.harness.rig.script import (
@@ -154,7 +155,7 @@ def _plugins() -> Known:
 
 
 def _described(plan: Plan, world: Path | None) -> RigDescription:
-    return read_rig(Path(plan.rig), _plugins(), world)
+    return read_rig(Path(plan.rig), _plugins(), None if world is None else read_fragment(world))
 
 
 @final

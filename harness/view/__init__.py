@@ -7,9 +7,12 @@
     identifiers messages on the buses: count, period, jitter, latest data
     stream     the latest events, by position in the record
     access     token, Host and Origin of requests
-    server     HTTP: the page, the events, the report
+    desk       requests of pages for the rig, and its answers
+    page_server HTTP: port, token, refusals
+    server     the page, the events, the report, the requests
+    campaign   the page and files of a swarm's folder
     page       the page's text
 
-Only `source` and `server` touch time, threads and sockets. Everything on the page comes from the
-record, so a file, a rig and a live bus share all code after the source.
+Only `source`, `desk` and servers touch time, threads and sockets. Everything on the page but its
+hands comes from the record, so a file, a rig and a live bus share all code after the source.
 """

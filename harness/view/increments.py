@@ -36,6 +36,8 @@ CELLS_MAX: Final = 150_000
 """Cells of traffic in the whole picture, and at most as many in news after it."""
 NEWS_POINTS: Final = 4_000
 """Points of quantities in one event with news."""
+STRETCH_POINTS: Final = 150_000
+"""Points of quantities in the detail of a stretch."""
 CELL_NS: Final = STRETCH_NS << 9
 """The shortest stretch over which messages are summed: 64 ms."""
 
@@ -101,6 +103,25 @@ class Increments:
             told["incidents"] = incidents_table(found.incidents, fresh, packer)
         self._note(found)
         return told, packer
+
+    def stretch(self, found: Findings, from_ns: int, to_ns: int) -> tuple[Json, Packer]:
+        """Return the points of all lines between two times [ns from the record's beginning]."""
+        packer = Packer(max(1, found.end_ns - found.begin_ns))
+        lines = [
+            ((m, p, n), line, *line.times_ns.searchsorted((from_ns, to_ns + 1)).tolist())
+            for m, motor in enumerate(motors_of(found, self._scales))
+            for p, plot in enumerate(motor.plots)
+            for n, line in enumerate(plot.lines)
+        ]
+        limit = STRETCH_POINTS // max(1, len(lines))
+        told: list[Json] = []
+        for place, line, begin, end in lines:
+            part = slice(max(0, begin - 1), end + 1)  # with the points on both sides
+            fine = replace(line, times_ns=line.times_ns[part], values=line.values[part])
+            if len(fine.times_ns):
+                table = line_table(fine, packer, max(4, limit))
+                told.append({"at": place, "t": table["t"], "v": table["v"]})
+        return {"time": time_table(found, packer), "lines": told}, packer
 
     def fresh(self, traffic: Traffic) -> Traffic:
         """Return the messages of a bus since the last event."""

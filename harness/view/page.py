@@ -5,7 +5,7 @@ from typing import Final
 
 from motorhil.harness.report.page import SCRIPTS, assembled, read_template
 
-OWN: Final = ("growth.js", "tables.js", "live.js")
+OWN: Final = ("growth.js", "detail.js", "tables.js", "hands.js", "live.js")
 
 
 def live_page(title: str) -> str:

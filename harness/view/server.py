@@ -5,35 +5,31 @@ that takes nothing for a while loses its connection, then reconnects with its la
 """
 
 from collections.abc import Callable
+from functools import partial
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from secrets import token_urlsafe
-from socket import AF_INET, AF_INET6, SO_SNDBUF, SOL_SOCKET
-from threading import Semaphore, Thread
-from typing import Final, final
+from socket import SO_SNDBUF, SOL_SOCKET
+from threading import Semaphore
+from typing import Final, Self, final
 from urllib.parse import parse_qs, urlsplit
 
-from motorhil.harness.view.access import LOOPBACK, Access
+from motorhil.harness.view.desk import BODY_MAX, BUSY, Desk
+from motorhil.harness.view.page_server import PageHandler, PageServer
 from motorhil.harness.view.source import Source
 
 PAGES_MAX: Final = 16
 """Limit of pages with events at a time."""
 _QUIET_S: Final = 15.0  # after which a comment keeps the connection open
-_STALLED_S: Final = 20.0  # after which a page that takes nothing loses its connection
 _RETRY_MS: Final = 500
 _BUFFER_BYTES: Final = 65_536  # of events that wait for a slow page
 
 
 @final
-class ViewServer(ThreadingHTTPServer):
-    """The server of one view; a context manager that serves while it is open.
+class ViewServer(PageServer):
+    """The server of one view.
 
     Attributes:
         address: the address of the page, with the token.
     """
-
-    daemon_threads = True
-    allow_reuse_address = True
 
     def __init__(
         self,
@@ -43,6 +39,7 @@ class ViewServer(ThreadingHTTPServer):
         host: str = "127.0.0.1",
         port: int = 0,
         token: str | None = None,
+        desk: Desk | None = None,
     ) -> None:
         """Open the port.
 
@@ -53,90 +50,99 @@ class ViewServer(ThreadingHTTPServer):
             host: IP address at which it listens.
             port: 0: any free one.
             token: the token in the address; None: a new one.
+            desk: takes requests for the rig; None: there is none.
 
         Raises:
             OSError: the port cannot be opened.
         """
         self.source: Source = source
+        self.desk: Desk | None = desk
         self.page: bytes = page.encode()
         self.report: Callable[[], str] = report
         self.places: Semaphore = Semaphore(PAGES_MAX)
-        self.address_family: int = AF_INET6 if ":" in host else AF_INET
-        super().__init__((host, port), _Handler)
-        self.port: int = self.server_address[1]
-        name = f"[{host}]" if ":" in host else host
-        token = token_urlsafe(16) if token is None else token
-        self.access: Access = Access(token, self.port, {*LOOPBACK, name})
-        self.address: str = f"http://{name}:{self.port}/?token={token}"
-        self._thread = Thread(target=self.serve_forever, args=(0.1,), name="motorhil view server")
-        self._thread.daemon = True
+        self.hands: Semaphore = Semaphore(2 * PAGES_MAX)  # requests that are read or wait
+        super().__init__(_Handler, host, port, token)
+        self.address: str = f"{self.origin}/?token={self.token}"
 
-    def __enter__(self) -> "ViewServer":
+    def __enter__(self) -> Self:
         self.source.start()
-        self._thread.start()
-        return self
+        return super().__enter__()
 
     def __exit__(self, *_: object) -> None:
         """Stop serving; end the events of all pages."""
         self.source.stop()
-        self.shutdown()
-        self._thread.join()
-        self.server_close()
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore pages that leave in the middle of a response."""
+        super().__exit__()
 
 
 @final
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(PageHandler):
     server: ViewServer
-    protocol_version = "HTTP/1.1"
-    server_version = "motorhil"
-    sys_version = ""
-    timeout = _STALLED_S
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802 -- the name that http.server calls
         address = urlsplit(self.path)
-        tokens = parse_qs(address.query).get("token", [None])
-        refusal = self.server.access.refusal(
-            self.headers.get("Host"), self.headers.get("Origin"), tokens[0]
-        )
-        if refusal is not None:
-            self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal.encode())
-        elif address.path == "/":
-            self._answer(HTTPStatus.OK, "text/html", self.server.page)
+        desk = self.server.desk
+        if self._is_refused(address.query):
+            return
+        if address.path == "/":
+            self.answer(HTTPStatus.OK, "text/html", self.server.page)
         elif address.path == "/report":
-            self._answer(HTTPStatus.OK, "text/html", self.server.report().encode())
+            self.answer(HTTPStatus.OK, "text/html", self.server.report().encode())
         elif address.path == "/events":
             self._events(self.headers.get("Last-Event-ID"))
+        elif address.path == "/stretch":
+            self._stretch(parse_qs(address.query))
+        elif address.path == "/hands" and desk is not None and desk.is_open:
+            self.answer(HTTPStatus.OK, "application/json", desk.elements().encode())
         else:
-            self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page")
+            self.answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page")
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: the address has the token in it."""
+    def do_POST(self) -> None:  # noqa: N802 -- the name that http.server calls
+        address = urlsplit(self.path)
+        desk = self.server.desk
+        self.close_connection = True  # the body may not have been read
+        if self._is_refused(address.query):
+            return
+        if address.path != "/hands" or desk is None or not desk.opens():
+            self.answer(HTTPStatus.NOT_FOUND, "text/plain", b"no rig in virtual time is here")
+            return
+        if self.headers.get("Content-Type") != "application/json":  # no form of another site
+            text = b"Content-Type: is not application/json"
+            self.answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "text/plain", text)
+            return
+        size = self.headers.get("Content-Length", "")
+        if not (size.isascii() and size.isdigit() and len(size) < 8 and int(size) <= BODY_MAX):
+            text = f"request: has no length of up to {BODY_MAX} bytes".encode()
+            self.answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", text)
+            return
+        if not self.server.hands.acquire(blocking=False):
+            self.answer(HTTPStatus(BUSY), "text/plain", b"rig: too many requests; try later")
+            return
+        try:
+            status, answer = desk.post(self.rfile.read(int(size)))
+        finally:
+            self.server.hands.release()
+        self.answer(HTTPStatus(status), "text/plain", answer.encode())
 
-    def _answer(self, status: HTTPStatus, kind: str, body: bytes) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
-        self.send_header("Content-Length", str(len(body)))
-        self._end_headers()
-        self.wfile.write(body)
+    def _stretch(self, query: dict[str, list[str]]) -> None:
+        """Send all points between two times."""
+        try:
+            from_s, to_s = (float(query[key][0]) for key in ("from", "to"))
+        except (KeyError, ValueError):
+            from_s, to_s = 0.0, -1.0
+        if not from_s <= to_s:
+            text = b"stretch: has no times from and to [s], such as from=1.0&to=1.5"
+            self.answer(HTTPStatus.BAD_REQUEST, "text/plain", text)
+            return
+        text = self.server.source.stretch(from_s, to_s).encode()
+        self.answer(HTTPStatus.OK, "text/plain", text)
 
-    def _end_headers(self) -> None:
-        for name, value in (
-            ("Cache-Control", "no-store"),
-            ("X-Content-Type-Options", "nosniff"),
-            ("X-Frame-Options", "DENY"),
-            ("Cross-Origin-Resource-Policy", "same-origin"),
-            ("Referrer-Policy", "no-referrer"),
-        ):
-            self.send_header(name, value)
-        self.end_headers()
+    def _is_refused(self, query: str) -> bool:
+        return self.is_refused(self.server.access, parse_qs(query).get("token", [None])[0])
 
     def _events(self, position: str | None) -> None:
         if not self.server.places.acquire(blocking=False):
             text = f"events: {PAGES_MAX} pages are open already; close one"
-            self._answer(HTTPStatus.SERVICE_UNAVAILABLE, "text/plain", text.encode())
+            self.answer(HTTPStatus.SERVICE_UNAVAILABLE, "text/plain", text.encode())
             return
         try:
             self.close_connection = True
@@ -144,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_response(HTTPStatus.OK)
             self.send_header("Content-Type", "text/event-stream; charset=utf-8")
             self.send_header("Connection", "close")
-            self._end_headers()
+            self.end_with_rules()
             self.wfile.write(f"retry: {_RETRY_MS}\n\n".encode())
             self._stream(position)
         finally:
@@ -152,9 +158,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _stream(self, position: str | None) -> None:
         """Send events until the record is complete, or the page or the server leaves."""
-        source = self.server.source
+        source, desk, seen = self.server.source, self.server.desk, 0
         while not source.is_stopped:
-            events = source.events(position, _QUIET_S)
+            if desk is not None and desk.has_news(seen):
+                seen = desk.revision
+                self.wfile.write(f"event: hands\ndata: {desk.state()}\n\n".encode())
+            is_due = partial(desk.has_news, seen) if desk is not None else bool
+            events = source.events(position, _QUIET_S, is_due)
             if events:
                 self.wfile.write(b"".join(event.text() for event in events))
                 position = events[-1].position
@@ -165,5 +175,5 @@ class _Handler(BaseHTTPRequestHandler):
             elif source.is_over:
                 self.wfile.write(b"event: over\ndata: \n\n")
                 return
-            elif not source.is_stopped:
+            elif not source.is_stopped and not is_due():
                 self.wfile.write(b":\n\n")

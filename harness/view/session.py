@@ -137,6 +137,13 @@ class Session:
         document["messages"] = self._collector.count
         return Event(self.position, "whole", packed(document, packer))
 
+    def stretch(self, from_s: float, to_s: float) -> str:
+        """Return all points between two times of the page [s], as the text of an event."""
+        self._collector.settle()
+        longest_s = (self._found.end_ns - self._found.begin_ns) / 1e9
+        times = (round(min(max(one, 0.0), longest_s) * 1e9) for one in (from_s, to_s))
+        return packed(*self._increments.stretch(self._found, *times))
+
     def finish(self, now_ns: int) -> None:
         """End the picture: the record is complete."""
         if not self.is_over:

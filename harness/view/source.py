@@ -60,7 +60,19 @@ class Source:
         """True if the recording is complete and all of it is in the events."""
         return self._session is not None and self._session.is_over
 
-    def events(self, position: str | None, longest_s: float) -> list[Event]:
+    def stretch(self, from_s: float, to_s: float) -> str:
+        """Return all points between two times of the page [s]; "": nothing is there yet."""
+        with self._changed:
+            return "" if self._session is None else self._session.stretch(from_s, to_s)
+
+    def wake(self) -> None:
+        """Let all pages look whether there is anything but events."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def events(
+        self, position: str | None, longest_s: float, stop: Callable[[], bool] = lambda: False
+    ) -> list[Event]:
         """Return the events after a position, or one with the whole picture.
 
         Wait for up to `longest_s` [s] until there is one. After the end there are none.
@@ -68,13 +80,14 @@ class Source:
         Args:
             position: what a page has already; None: nothing.
             longest_s: how long to wait [s].
+            stop: returns True if the page need not wait any longer; asked after each `wake`.
         """
         end_s = time.monotonic() + longest_s
         with self._changed:
             while not self._stopped.is_set():
                 found = self._events(position)
                 left_s = end_s - time.monotonic()
-                if found or left_s <= 0.0 or self.problem or self.is_over:
+                if found or left_s <= 0.0 or self.problem or self.is_over or stop():
                     return found
                 self._changed.wait(left_s)
         return []

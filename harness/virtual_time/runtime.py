@@ -13,7 +13,7 @@ The rules of turn:
     4. Events at the very time of a timeout still count: events first, then the timeout.
 
 With `pace`, the wall clock is a brake: the same events happen in the same order, but none earlier
-than its wall time.
+than its wall time. A pace may schedule events of its own while it brakes (`Pace`).
 """
 
 import threading
@@ -36,6 +36,11 @@ if TYPE_CHECKING:
 
     from motorhil.motorapi.runtime.api import FrameListener, Registration
 
+Pace = Callable[[int], bool | None]
+"""Waits until the next event, or the end of the next timeout, is due [ns].
+
+True: look again, because an event was scheduled before it, or a wait may have ended.
+"""
 UNKNOWN: Final = 0
 _NEVER: Final = -1
 END_NS: Final = 2 * 10**18  # 63 years: controllers treat later times (2**61 ns) as never
@@ -163,7 +168,7 @@ class VirtualRuntime:
     A switch between parties costs about 15 us. An event with one waiting party costs no switch.
     """
 
-    def __init__(self, queue: EventQueue, pace: Callable[[int], None] | None = None) -> None:
+    def __init__(self, queue: EventQueue, pace: Pace | None = None) -> None:
         self.queue = queue
         self.context: Final = BusContext()  # compiled classes have no weak references
         self._pace = pace
@@ -432,6 +437,10 @@ class VirtualRuntime:
             if party.error is not None and party.owes_error():
                 raise party.error
 
+    def follow(self, pace: Pace) -> None:
+        """Follow this pace from the next event on."""
+        self._pace = pace
+
     def had_parties(self) -> bool:
         """Return True if a second party has ever been given turns."""
         return self._had_parties
@@ -555,8 +564,11 @@ class VirtualRuntime:
                 self._polls = 0
             if self._pace is not None:
                 self._pumping = False  # while asleep, an interrupt takes effect at once
-                self._pace(due_ns)
+                is_early = self._pace(due_ns)
                 self._pumping = True
+                if is_early:
+                    self._turns -= 1  # time may stand still for days
+                    continue
             if is_event:
                 queue.run_next()
             else:

@@ -168,6 +168,7 @@ PLANTS = [
     ("mcap-in-tests", "traces/mcap/reader.py", "import mcap.reader", "mcap.reader -> mcap"),
     ("mcap-in-tests", "harness/report/page.py", "import mcap", "report.page -> mcap"),
     ("view-cores", "harness/view/session.py", "import time", "view.session -> time"),
+    ("hands-in-time", "harness/hands/hands.py", "import time", "hands.hands -> time"),
     ("view-cores", "harness/view/stream.py", "import threading", "view.stream -> threading"),
     ("waiting", "motorapi/motor.py", "import time", "motorhil.motorapi.motor -> time"),
     (

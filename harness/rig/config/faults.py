@@ -42,7 +42,7 @@ HOST: Final = INTERFACE  # name of the application's ports on every bus
 _FURTHER_HOST: Final = re.compile(rf"{HOST}-[2-9][0-9]*|{HOST}-1[0-9]+")
 KINDS: Final = tuple(kind.value for kind in FaultKind)
 LINE_FAULT_KINDS: Final = tuple(kind.value for kind in SerialFaultKind)
-_ON_TCP: Final = ("lose", "delay", "truncate", "pause")
+ON_TCP: Final = ("lose", "delay", "truncate", "pause")
 _LINE_KEYS: Final = ("unit", "function", "after", "noise")
 _CAN_KEYS: Final = (
     *("identifier", "identifier_mask", "extended", "nodes"),
@@ -126,6 +126,9 @@ class FaultTable(FaultBusTable):
         None, 1, _ADU_MAX, "characters", "Characters before it happens.", example="3"
     )
     noise: bytes | None = setting(None, HexBytes(_ADU_MAX), "Bytes to send first, in hex.")
+    by_hand: bool = flag(
+        False, "The bus learns of it only when it begins, as of a fault from the live page."
+    )
 
     RULES: ClassVar = (
         _only(("delay", "pause", "repeat"), "delay_s"),
@@ -266,10 +269,14 @@ class FaultTable(FaultBusTable):
 @final
 @dataclass(frozen=True, slots=True)
 class FaultDescription:
-    """A fault rule, and the bus or line to which it applies."""
+    """A fault rule, and the bus or line to which it applies.
+
+    `by_hand`: the rule is added to the bus when it begins, and removed when it ends.
+    """
 
     bus: str
     rule: FaultRule | SerialFaultRule
+    by_hand: bool = False
 
 
 def read_faults(
@@ -303,7 +310,7 @@ def _fault(
     bus = buses[on.bus]
     kinds = KINDS
     if bus.is_line:
-        kinds = _ON_TCP if bus.kind == MODBUS_TCP else LINE_FAULT_KINDS
+        kinds = ON_TCP if bus.kind == MODBUS_TCP else LINE_FAULT_KINDS
     if on.kind not in kinds:
         problem = f'unknown fault kind "{on.kind}" (known: {listed(kinds)})'
         raise table.error("kind", problem, nearest(on.kind, kinds))
@@ -324,11 +331,11 @@ def _fault(
     for place, node in enumerate(own.nodes):
         table.require("nodes", node, ports, "controller", place)
     if bus.is_line:
-        return FaultDescription(own.bus, own.line_rule(name))
+        return FaultDescription(own.bus, own.line_rule(name), own.by_hand)
     if own.flip is not None and len(own.flip) > _DATA_MAX:
         problem = f"must be 1 to {_DATA_MAX} bytes, and change a bit"
         raise table.error("flip", problem, 'write flip = "00 FF"')
     try:
-        return FaultDescription(own.bus, own.frame_rule(name))
+        return FaultDescription(own.bus, own.frame_rule(name), own.by_hand)
     except ValueError as error:
         raise table.source.error(table.path, str(error), "see the keys of [[fault]]") from None

@@ -277,7 +277,7 @@ class Known:
     takes_targets: bool = True
 
 
-def read_rig(path: Path, known: Known, world: Path | None = None) -> RigDescription:
+def read_rig(path: Path, known: Known, world: Source | None = None) -> RigDescription:
     """Read the rig in a file, with the fragment of a world appended if one is given.
 
     Raises:
@@ -285,7 +285,7 @@ def read_rig(path: Path, known: Known, world: Path | None = None) -> RigDescript
     """
     source = read_source(path, _NEW_REMEDY)
     if world is not None:
-        source = source.with_fragment(read_source(world, "name a fragment of `motorhil swarm`"))
+        source = source.with_fragment(world)
     return parse_rig(source, known)
 
 

@@ -9,14 +9,15 @@ Line numbers of keys in a TOML text; tomllib reads the values.
 A path is the keys down to a value. Array items and tables of an array of tables are counted from 0.
 The text must be one that tomllib accepts, so nothing is checked here.
 
-Changes of one table in a rig's text, which recordings contain.
+Changes of one table in a rig's text, which recordings contain; and tables as text.
 
 Wording of keys, names and values in messages: short, one line.
 """
 
+import json
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, TypeVar, final
@@ -210,6 +211,22 @@ def with_table(text: str, table: str, lines: str, without: Collection[str]) -> s
     return before + head + lines + "".join(kept) + behind
 
 
+def written(header: str, keys: Iterable[tuple[str, object]]) -> str:
+    """Return a table of an array of tables as lines of TOML."""
+    lines = [f"[[{header}]]", *(f"{key} = {_written(value)}" for key, value in keys)]
+    return "\n".join(lines) + "\n"
+
+
+def _written(value: object) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_written, value))}]"
+    return repr(value)
+
+
 def replaced(settings: Mapping[str, object], path: KeyPath, value: object) -> dict[str, object]:
     """Return the settings with another value at `path`.
 
@@ -312,6 +329,13 @@ class Source:
         whole = Source(self.path, text + fragment.text)
         whole._fragment = text.count("\n") + 1, fragment.path
         return whole
+
+    @property
+    def fragment(self) -> str:
+        """The text that was appended; "": none."""
+        if self._fragment is None:
+            return ""
+        return "".join(self.text.splitlines(keepends=True)[self._fragment[0] - 1 :])
 
     def redirect(self, path: KeyPath, to: KeyPath) -> None:
         """Let errors of the value at `path` name the line of the value at `to`."""

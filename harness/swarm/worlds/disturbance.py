@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.harness.rig.config.toml import written
+
 Value = str | int | float
 FRAME_KINDS: Final = ("drop", "delay", "duplicate", "corrupt", "error", "lose", "truncate")
 """Kinds that act on single frames, or transmissions on a line."""
@@ -68,16 +70,16 @@ def from_table(table: Sequence[object]) -> Disturbance:
 
 def fragment(world: World) -> str:
     """Return the world as TOML to append to the rig's file."""
-    lines: list[str] = []
+    tables: list[str] = []
     for one in world:
         if one.kind == "interleaving":
-            lines += ["[world]", f"interleaving = {one.get('seed')}", ""]
+            tables.append(f"[world]\ninterleaving = {one.get('seed')}\n")
     counts: dict[str, int] = {}
     for one in world:
         counts[one.kind] = counts.get(one.kind, 0) + 1
         for header, keys in _WRITERS[one.kind](one, f"{one.kind} {counts[one.kind]}"):
-            lines += [f"[[{header}]]", *(f"{key} = {_toml(value)}" for key, value in keys), ""]
-    return "\n".join(lines)
+            tables.append(written(header, keys))
+    return "\n".join(tables)
 
 
 def kinds_in(text: str) -> frozenset[str]:
@@ -96,16 +98,6 @@ def kinds_in(text: str) -> frozenset[str]:
 
 
 _Tables = list[tuple[str, list[tuple[str, object]]]]
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    return repr(value)
 
 
 def _frames(one: Disturbance, name: str) -> _Tables:

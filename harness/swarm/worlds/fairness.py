@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from motorhil.harness.oracles.judge import IDS
+from motorhil.harness.rig.fragment import read_fragment
 from motorhil.harness.swarm.worlds.disturbance import FRAME_KINDS, World, kinds_in
 
 _LOST: Final = (*FRAME_KINDS, "cut", "noise", "power")
@@ -38,7 +39,7 @@ def fair(world: World) -> tuple[str, ...]:
 
 def fair_in(file: Path) -> tuple[str, ...]:
     """Return the ids of the oracles that may judge the world of a fragment."""
-    return _fair(kinds_in(file.read_text()))
+    return _fair(kinds_in(read_fragment(file).text))
 
 
 def _fair(kinds: Collection[str]) -> tuple[str, ...]:

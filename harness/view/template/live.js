@@ -50,6 +50,7 @@ function takePicture(told) {
   adopt(told);
   compose();
   indexLines();
+  forgetDetail();
   for (const one of document.querySelectorAll("#charts > section")) {
     if (open.has(one.id)) one.querySelector("details").open = open.get(one.id);
   }
@@ -62,6 +63,7 @@ function takePicture(told) {
   }
   layout();
   redraw();
+  rangeDetail();
   if (words) find(words);
   scrollTo(0, top);
   if (focused && $(focused)) $(focused).focus({ preventScroll: true });
@@ -149,8 +151,10 @@ function connect() {
   for (const kind of ["whole", "more"]) {
     source.addEventListener(kind, (event) => { live.queue = live.queue.then(() => receive(kind, event)).catch((error) => { fail(String(error)); }); });
   }
+  source.addEventListener("hands", (event) => takeHands(JSON.parse(event.data)));
   const end = (link, text) => {
     source.close();
+    endHands();
     live.queue = live.queue.then(() => tell(link, text));
   };
   source.addEventListener("over", () => end("complete", "complete: the whole record is here"));
@@ -167,7 +171,7 @@ function connect() {
 
 function begin() {
   $("bar").prepend($("live"));
-  $("bar").after($("tables"));
+  $("bar").after($("hands"), $("tables"));
   for (const window_s of WINDOWS) {
     const option = make("option", $("window"), Number.isFinite(window_s) ? `last ${window_s} s` : "all");
     option.value = window_s;
@@ -177,7 +181,7 @@ function begin() {
   $("pause").addEventListener("click", () => { if (live.follows) pause(); else follow(); });
   $("find").addEventListener("input", () => find($("find").value));
   $("report").href = "report" + location.search;
-  document.addEventListener("range", () => { if (!live.moving && report && live.link !== "complete") pause(); });
+  document.addEventListener("range", () => { if (!live.moving && report && live.link !== "complete") pause(); if (report) rangeDetail(); });
   KEYS[" "] = () => { if (live.follows) pause(); else follow(); };
   KEYS.l = KEYS.End = () => follow();
   KEYS["/"] = () => $("find").focus();

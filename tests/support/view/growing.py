@@ -1,5 +1,6 @@
 """Files that grow, and the live view of one, in this process."""
 
+import json
 import socket
 from contextlib import contextmanager
 from http.client import HTTPConnection
@@ -72,9 +73,19 @@ def free_port():
 
 def get(port, path, **headers):
     """Return status, headers and body of a request."""
+    return _asked(port, "GET", path, None, headers)
+
+
+def post(port, path, body, **headers):
+    """Return status, headers and body of a request with a body, as a page sends it."""
+    data = body if isinstance(body, bytes) else json.dumps(body).encode()
+    return _asked(port, "POST", path, data, {"Content_Type": "application/json"} | headers)
+
+
+def _asked(port, method, path, data, headers):
     connection = HTTPConnection("127.0.0.1", port, timeout=60)
     named = {name.replace("_", "-"): value for name, value in headers.items()}
-    connection.request("GET", path, headers=named)
+    connection.request(method, path, body=data, headers=named)
     answer = connection.getresponse()
     found = answer.status, dict(answer.getheaders()), answer.read()
     connection.close()

@@ -65,6 +65,10 @@ class Page:
         self.presence = {row["name"]: row for row in told.get("presence", ())} or self.presence
         return self
 
+    def places(self):
+        """Return the numbers of motor, plot and line, in the order of `lines`."""
+        return list(self._places)
+
     def _whole(self, told, arrays, tick_s):
         self.presence = {}
         self._places, self.lines, self.loads, self.bars = {}, {}, {}, {}

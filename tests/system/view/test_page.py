@@ -5,7 +5,6 @@ import json
 import pytest
 
 from motorhil.harness.view import increments
-from tests.support.browser import Browser, chromium
 from tests.support.view.growing import free_port, served
 
 pytestmark = pytest.mark.wall
@@ -21,36 +20,6 @@ PICTURE = """JSON.stringify({
       .filter((one) => one[1]).map((one) => one[0])])),
   incidents: report.incidents.list.map((one) => one.slice(1)),
 })"""
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    with Browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
-
-
-@pytest.fixture
-def page(browser):
-    """Return a function that opens a live view; check that no request went elsewhere."""
-    asked = []
-
-    def open_(server):
-        asked.append(server.address.partition("?")[0])
-        browser.call("Page.navigate", url=server.address)
-        browser.wait("document.documentElement.dataset.live")
-        return browser
-
-    browser.call("Page.navigate", url="about:blank")
-    browser.requests.clear()
-    browser.errors.clear()
-    browser.size(1400, 900)
-    browser.media()
-    yield open_
-    assert [one for one in browser.requests if not one.startswith(tuple(asked))] == []
-    assert [one for one in browser.errors if "ERR_" not in one] == []  # a server that was stopped
-    assert browser.run("document.documentElement.dataset.error || ''") == ""
 
 
 def has(browser, messages):
@@ -178,6 +147,26 @@ def test_messages_show_period_and_data(page, demo):
     assert row[:4] == ["can0", "181h", "TPDO 1 drive_fl", "887"]
     assert row[4].endswith(" ms")
     assert len(row[6].split()) == 6
+
+
+def test_zoom_into_a_reduced_picture_gets_all_points(page, demo, monkeypatch):
+    shown_points = """(() => {
+      const line = [...lines.values()].reduce((a, b) => b.points > a.points ? b : a);
+      return line.t.filter((at) => at > 4.0 && at < 4.5).length; })()"""
+    with served(demo) as server:
+        one = page(server)
+        has(one, ALL)
+        every = one.run(shown_points)
+        monkeypatch.setattr(increments, "POINTS_MAX", 2_000)
+        page(server)
+        has(one, ALL)
+        few = one.run(shown_points)
+        assert 0 < 2 * few < every
+        one.run("setRange(4.0, 4.5)")
+        one.wait("document.documentElement.dataset.detail")
+        assert one.run(shown_points) == every
+        one.run("setRange(0, SPAN)")
+        assert one.run(shown_points) == few
 
 
 def test_keyboard_alone_suffices(page, demo):

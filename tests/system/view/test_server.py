@@ -38,6 +38,17 @@ def test_page_events_and_report_need_the_token(growing):
         assert server.address == f"http://127.0.0.1:{server.port}/?token={TOKEN}"
 
 
+def test_stretch_needs_two_times(growing):
+    growing.grow(2)
+    with served(growing.path) as server:
+        path = f"/stretch?token={TOKEN}"
+        assert get(server.port, "/stretch?from=0&to=1")[0] == 403
+        for times in ("", "&from=0", "&from=x&to=1", "&from=2&to=1", "&from=nan&to=nan"):
+            assert get(server.port, path + times)[0] == 400
+        for times in ("&from=0&to=1", "&from=-inf&to=inf", "&from=1e300&to=1e300"):
+            assert get(server.port, path + times)[0] == 200
+
+
 def test_other_sites_are_refused(growing):
     with served(growing.path) as server:
         path = f"/events?token={TOKEN}"

@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 
 from motorhil.harness.view import increments
 from motorhil.harness.view.session import PERIOD_NS, Session, Subject
+from motorhil.harness.view.stream import Event
 from motorhil.traces.schema import MOTOR_LOCK, LockAction
 from tests.support.recordings.handmade import MS, Recorded, S
-from tests.support.view.page_model import Page
+from tests.support.view.page_model import Page, opened, points
 
 _TICK_S = 1e-7  # more than two ticks of a recording of minutes
 
@@ -24,6 +25,27 @@ def told(attachments, messages, cuts):
         for event in session.stream.after(before) if before != session.stream.position else ():
             page.take(event)
     return page, Page().take(session.whole(10**12))
+
+
+def test_stretch_has_all_points_of_its_time(demo_messages, monkeypatch):
+    attachments, messages = demo_messages()
+    session = Session(Subject("demo", attachments))
+    session.feed(messages)
+    full = Page().take(session.whole(S))
+    monkeypatch.setattr(increments, "POINTS_MAX", 2_000)
+    coarse = Page().take(session.whole(2 * S))
+    stretch, arrays = opened(Event("", "", session.stretch(4.0, 4.5)))
+    places = {place: name for name, place in zip(full.lines, full.places(), strict=True)}
+    compared = 0
+    for one in stretch["lines"]:
+        name = places[tuple(one["at"])]
+        found = points(one, arrays, stretch["time"]["tick_s"])
+        inside = [point for point in full.lines[name] if 4.0 + _TICK_S < point[0] < 4.5 - _TICK_S]
+        fine = [point for point in found if 4.0 + _TICK_S < point[0] < 4.5 - _TICK_S]
+        assert close(fine, inside), name
+        few = [point for point in coarse.lines[name] if 4.0 < point[0] < 4.5]
+        compared += len(inside) > 2 * len(few) > 0
+    assert compared > 10
 
 
 def close(one, other):
@@ -54,8 +76,8 @@ def test_news_lead_to_the_whole_picture(demo_messages, cuts):
     assert page.position == fresh.position
     assert page.messages == len(messages)
     assert page.lines.keys() == fresh.lines.keys()
-    for name, points in fresh.lines.items():
-        assert close(page.lines[name], points), name
+    for name, line in fresh.lines.items():
+        assert close(page.lines[name], line), name
     assert page.loads == fresh.loads
     assert all(same_bars(page.bars[key], row) for key, row in fresh.bars.items())
     assert [one[1:] for one in page.incidents] == [one[1:] for one in fresh.incidents]

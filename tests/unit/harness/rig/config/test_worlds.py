@@ -3,11 +3,10 @@
 import can
 import pytest
 
-from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import WEIGHTS
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.rig import Rig, describe
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.plugin_rigs import GOOD, WHEEL
 
@@ -23,7 +22,7 @@ def read(bench):
 
     def read_both(fragment):
         (bench / "world.toml").write_text(fragment)
-        return read_rig(bench / "rig.toml", installed_plugins(), bench / "world.toml")
+        return describe(bench / "rig.toml", bench / "world.toml")
 
     return read_both
 
