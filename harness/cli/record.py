@@ -155,7 +155,7 @@ def _record(
     )
     if options.view:
         cleanup.enter_context(
-            page_of(Path(options.output), ", ".join(options.on), options.view_port, stays=False)
+            page_of(Path(options.output), ", ".join(options.on), options, stays=False)
         )
         pump = Pump(names, series, round(CHUNK_S * _NS))
         loop = RecordingLoop(taps, pump, own_times, _report, CHUNK_S)

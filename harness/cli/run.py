@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
         if options.view and target is not None:
             cleanup.callback(rig.close)
             name = rig.description.name
-            pipes = cleanup.enter_context(page_of(target, name, options.view_port, stays=True))
+            pipes = cleanup.enter_context(page_of(target, name, options, stays=True))
             hands = cleanup.enter_context(_hands_on(rig, pipes, pace, options.paused))
         status = _run(options, rig, script, words)
         if hands is not None and hands.count and script is not None:

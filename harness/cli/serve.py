@@ -116,9 +116,7 @@ def run(options: argparse.Namespace) -> int:
             )
         )
         if options.view and target is not None:
-            cleanup.enter_context(
-                page_of(target, rig.description.name, options.view_port, stays=False)
-            )
+            cleanup.enter_context(page_of(target, rig.description.name, options, stays=False))
         for note in rig.notes:
             print(note, file=sys.stderr)
         _require_endpoint(rig, options)

@@ -34,6 +34,38 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         "--view", action="store_true", help="show a live page; its address goes to stderr"
     )
     add_port(parser, "--view-port")
+    add_foxglove(parser)
+
+
+def add_foxglove(parser: argparse.ArgumentParser) -> None:
+    """Add `--foxglove`, which implies `--view`."""
+    parser.add_argument(
+        "--foxglove",
+        action=_WithView,
+        type=whole(0, _PORT_MAX),
+        metavar="PORT",
+        help="serve Foxglove, Lichtblick and PlotJuggler as well, at this port (they expect 8765)",
+    )
+
+
+class _WithView(argparse.Action):
+    """An option that implies `--view`."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        """Store the value."""
+        setattr(namespace, self.dest, values)
+        namespace.view = True
+
+
+def foxglove_words(options: argparse.Namespace) -> list[str]:
+    """Return the option again, for another command line."""
+    return [] if options.foxglove is None else ["--foxglove", str(options.foxglove)]
 
 
 def add_port(parser: argparse.ArgumentParser, flag: str) -> None:
@@ -104,13 +136,15 @@ class Pipes:
 
 
 @contextmanager
-def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Pipes]:
+def page_of(
+    recording: Path, title: str, options: argparse.Namespace, stays: bool
+) -> Iterator[Pipes]:
     """Serve the page of a recording in progress while the context is open.
 
     Args:
         recording: the file; its head must be written.
         title: title of the page.
-        port: its port; 0: any free one.
+        options: those of `add_view`.
         stays: True to keep the page after the end of the context, until Ctrl-C.
 
     Raises:
@@ -118,7 +152,8 @@ def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Pip
     """
     root = str(Path(motorhil.__file__).parent.parent)
     others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
-    words = ["view", str(recording), "--title", title, "--port", str(port), "--beside"]
+    words = ["view", str(recording), "--title", title, "--beside"]
+    words += ["--port", str(options.view_port), *foxglove_words(options)]
     server = subprocess.Popen(
         [sys.executable, "-m", "motorhil", *words],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},
