@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import real, whole
 from motorhil.harness.cli.progress import StatusLine
-from motorhil.harness.cli.viewing import CHUNK_S, add_view, page_of
+from motorhil.harness.cli.viewing import CHUNK_S, add_foxglove, add_view, foxglove_words, page_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--compact", action="store_true", help="a third of the size; not readable by Foxglove"
     )
     add_view(parser)
+    add_foxglove(parser)
     parser.add_argument("--force", action="store_true", help="overwrite existing recordings")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.epilog = "Ctrl-C ends the recording; the file is readable, however it ends."
@@ -155,7 +156,13 @@ def _record(
     )
     if options.view:
         cleanup.enter_context(
-            page_of(Path(options.output), ", ".join(options.on), options.view_port, stays=False)
+            page_of(
+                Path(options.output),
+                ", ".join(options.on),
+                options.view_port,
+                stays=False,
+                more=foxglove_words(options),
+            )
         )
         pump = Pump(names, series, round(CHUNK_S * _NS))
         loop = RecordingLoop(taps, pump, own_times, _report, CHUNK_S)

@@ -14,10 +14,12 @@ from motorhil.harness.cli.options import add_seed, time_ns
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.viewing import (
     Beside,
+    add_foxglove,
     add_pace,
     add_paused,
     add_view,
     chunk_ns,
+    foxglove_words,
     page_of,
     record_for,
 )
@@ -69,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_pace(parser)
     add_view(parser)
+    add_foxglove(parser)
     add_paused(parser)
     add_seed(parser)
     parser.add_argument(
@@ -118,7 +121,9 @@ def run(options: argparse.Namespace) -> int:
         if options.view and target is not None:
             cleanup.callback(rig.close)
             name = rig.description.name
-            page = cleanup.enter_context(page_of(target, name, options.view_port, stays=True))
+            page = cleanup.enter_context(
+                page_of(target, name, options.view_port, stays=True, more=foxglove_words(options))
+            )
             hands = cleanup.enter_context(_hands_on(rig, page, pace, options.paused))
         status = _run(options, rig, script, words)
         if hands is not None and hands.count and (script or rig.description.programs):

@@ -23,7 +23,14 @@ from motorhil.emulators.gateways.socketcan import SocketCanError, SocketCanGatew
 from motorhil.harness.cli.main import FAILED, PASSED, WRONG_USAGE
 from motorhil.harness.cli.options import add_seed
 from motorhil.harness.cli.processes import StopSignals
-from motorhil.harness.cli.viewing import add_view, chunk_ns, page_of, record_for
+from motorhil.harness.cli.viewing import (
+    add_foxglove,
+    add_view,
+    chunk_ns,
+    foxglove_words,
+    page_of,
+    record_for,
+)
 from motorhil.harness.recording.ownership import LockLooks, LockWriter
 from motorhil.harness.replay.device_node import KIND as RECORDED
 from motorhil.harness.replay.verdict import summary, unanswered
@@ -90,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_seed(parser)
     add_view(parser)
+    add_foxglove(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="record to this MCAP file"
     )
@@ -117,7 +125,13 @@ def run(options: argparse.Namespace) -> int:
         )
         if options.view and target is not None:
             cleanup.enter_context(
-                page_of(target, rig.description.name, options.view_port, stays=False)
+                page_of(
+                    target,
+                    rig.description.name,
+                    options.view_port,
+                    stays=False,
+                    more=foxglove_words(options),
+                )
             )
         for note in rig.notes:
             print(note, file=sys.stderr)

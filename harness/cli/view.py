@@ -25,13 +25,22 @@ from motorhil.harness.cli.options import (
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.processes import STOPPING
 from motorhil.harness.cli.report import add_bit_rates
-from motorhil.harness.cli.viewing import add_pace, add_paused, add_port, record_for
+from motorhil.harness.cli.viewing import (
+    add_foxglove,
+    add_pace,
+    add_paused,
+    add_port,
+    foxglove_words,
+    record_for,
+)
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.errors import TraceError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from motorhil.harness.view.session import Session
-    from motorhil.traces.mcap.reader import Trace
+    from motorhil.traces.mcap.reader import Trace, TraceMessage
 
 LOOPBACK: Final = "127.0.0.1"
 _NICE: Final = 5  # a page has time, a rig may have none
@@ -88,6 +97,7 @@ def add_server(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--token", metavar="TEXT", help="token in the address (default: a new one each time)"
     )
+    add_foxglove(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -126,6 +136,7 @@ def _run_rig(options: argparse.Namespace) -> int:
         str(options.port),
         "--pace",
         f"{options.pace:g}",
+        *foxglove_words(options),
     ]
     words += ["--paused"] if options.paused else []
     words += [] if options.output is None else ["--output", str(options.output)]
@@ -139,7 +150,7 @@ def _record_bus(options: argparse.Namespace) -> int:
 
     with record_for(options.output, is_watched=True) as target:
         words = ["--on", options.file, "--output", str(target)]
-        words += ["--view", "--view-port", str(options.port)]
+        words += ["--view", "--view-port", str(options.port), *foxglove_words(options)]
         return record_verb.run(_options_of(record_verb, words, None))
 
 
@@ -161,8 +172,11 @@ def _serve(options: argparse.Namespace) -> int:
 
     attachments = attachments_of(options.eds)
     title = options.title or Path(options.file).name
-    with open_recording(options.file, teller("view"), attachments, options.max_memory) as trace:
-        source = Source(trace, lambda one: _session(one, options, title))
+    with (
+        open_recording(options.file, teller("view"), attachments, options.max_memory) as trace,
+        _viewers(options, title, trace) as publish,
+    ):
+        source = Source(trace, lambda one: _session(one, options, title), publish)
         desk = Desk(_to_rig, source.wake) if options.beside else None
         place = options.listen, options.port, options.token
         with _opened(options):
@@ -206,6 +220,28 @@ def _opened(options: argparse.Namespace) -> Iterator[None]:
     except OSError as error:
         place = f"{options.listen}:{options.port}"
         raise TraceError(place, f"cannot be opened: {error.strerror}") from None
+
+
+@contextmanager
+def _viewers(
+    options: argparse.Namespace, title: str, trace: "Trace"
+) -> Iterator["Callable[[TraceMessage], None] | None"]:
+    """Serve other viewers, if that is asked for.
+
+    Raises:
+        TraceError: they cannot be served.
+    """
+    if options.foxglove is None:
+        yield None
+        return
+    if trace.cut is None:
+        remedy = "open the file in the viewer, or name a recording in progress"
+        raise TraceError(options.file, "is complete: nothing comes to be served", remedy=remedy)
+    from motorhil.harness.view.foxglove import FoxgloveServer
+
+    with FoxgloveServer(title, options.foxglove) as server:
+        print(f"foxglove: {server.address}", file=sys.stderr, flush=True)
+        yield server
 
 
 def _to_rig(line: bytes) -> None:

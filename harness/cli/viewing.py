@@ -9,7 +9,7 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +35,37 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         "--view", action="store_true", help="show a live page; its address goes to stderr"
     )
     add_port(parser, "--view-port")
+
+
+def add_foxglove(parser: argparse.ArgumentParser) -> None:
+    """Add `--foxglove`, which implies `--view`."""
+    parser.add_argument(
+        "--foxglove",
+        action=_WithView,
+        type=whole(0, _PORT_MAX),
+        metavar="PORT",
+        help="serve Foxglove, Lichtblick and PlotJuggler as well, at this port (they expect 8765)",
+    )
+
+
+class _WithView(argparse.Action):
+    """An option that implies `--view`."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        """Store the value."""
+        setattr(namespace, self.dest, values)
+        namespace.view = True
+
+
+def foxglove_words(options: argparse.Namespace) -> list[str]:
+    """Return the option again, for another command line."""
+    return [] if options.foxglove is None else ["--foxglove", str(options.foxglove)]
 
 
 def add_port(parser: argparse.ArgumentParser, flag: str) -> None:
@@ -111,7 +142,9 @@ class Beside:
 
 
 @contextmanager
-def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Beside]:
+def page_of(
+    recording: Path, title: str, port: int, stays: bool, more: Sequence[str] = ()
+) -> Iterator[Beside]:
     """Serve the page of a recording in progress, or of a campaign, while the context is open.
 
     Args:
@@ -119,13 +152,14 @@ def page_of(recording: Path, title: str, port: int, stays: bool) -> Iterator[Bes
         title: title of the page.
         port: its port; 0: any free one.
         stays: True to keep the page after the end of the context, until Ctrl-C.
+        more: further options of `motorhil view`.
 
     Raises:
         RigError: the page cannot be served.
     """
     root = str(Path(motorhil.__file__).parent.parent)
     others = [path for path in (os.environ.get("PYTHONPATH"),) if path]
-    words = ["view", str(recording), "--title", title, "--port", str(port), "--beside"]
+    words = ["view", str(recording), "--title", title, "--port", str(port), "--beside", *more]
     server = subprocess.Popen(
         [sys.executable, "-m", "motorhil", *words],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([root, *others])},

@@ -6,14 +6,14 @@ under one lock; none of them can delay the thread by more than one picture takes
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Final, final
 
 from motorhil.harness.view.session import Session
 from motorhil.harness.view.stream import Event
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.reader import Trace
+from motorhil.traces.mcap.reader import Trace, TraceMessage
 
 POLL_S: Final = 0.02
 _PIECE: Final = 2_000  # messages between two looks at the clock
@@ -27,11 +27,23 @@ class Source:
         problem: why the recording cannot be read any more; "": it can.
     """
 
-    def __init__(self, trace: Trace, begin: Callable[[Trace], Session]) -> None:
-        """Set up the source; `begin` makes the session once the first message is there."""
+    def __init__(
+        self,
+        trace: Trace,
+        begin: Callable[[Trace], Session],
+        publish: Callable[[TraceMessage], None] | None = None,
+    ) -> None:
+        """Set up the source.
+
+        Args:
+            trace: the recording.
+            begin: makes the session once the first message is there.
+            publish: gets every message as well; None: nothing does.
+        """
         self.problem: str = ""
         self._trace = trace
         self._begin = begin
+        self._publish = publish
         self._session: Session | None = None
         self._has_begun = False
         self._changed = threading.Condition()
@@ -124,6 +136,8 @@ class Source:
             self._session = self._begin(self._trace)
         session, count = self._session, 0
         messages = self._trace.more_messages()
+        if self._publish is not None:
+            messages = _published(messages, self._publish)
         while not self._stopped.is_set():
             with self._changed:
                 more = session.feed(islice(messages, _PIECE))
@@ -141,3 +155,11 @@ class Source:
     def _advance(self, session: Session) -> None:
         session.advance(time.monotonic_ns())
         self._changed.notify_all()
+
+
+def _published(
+    messages: Iterator[TraceMessage], publish: Callable[[TraceMessage], None]
+) -> Iterator[TraceMessage]:
+    for message in messages:
+        publish(message)
+        yield message
