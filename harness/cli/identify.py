@@ -8,16 +8,27 @@ from typing import Final
 
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table
-from motorhil.harness.identification.inverse_model import Fit, Parameter, effort_error, fitted
-from motorhil.harness.identification.plant_table import UNITS, plant_keys, table_of
+from motorhil.harness.identification.inverse_model import (
+    DELAY,
+    Fit,
+    Parameter,
+    effort_error,
+    fitted,
+    friction_by_direction,
+)
+from motorhil.harness.identification.output_error import refined
+from motorhil.harness.identification.plant_table import plant_keys, table_of, unit_of
 from motorhil.harness.identification.samples import Samples, samples_in
 from motorhil.harness.rig.config.toml import RigError
 
 _POOR: Final = 0.3
+_BETTER: Final = 0.9  # of the effort that is left: below it, friction depends on the direction
 _EPILOG: Final = """\
-The model is effort = inertia * a + viscous * v + coulomb * sign(v) + offset, at the output. A fit
-is judged by the effort that it explains, on this recording and with --check on another one:
-position tracks its set-point whatever the plant is. Exit status 1: the model explains too little.
+The model is effort = inertia * a + viscous * v + coulomb * sign(v) + offset, at the output. Least
+squares give a start. An emulated drive with this plant then follows the recording, until it needs
+the least effort beside the recorded one. A fit is judged by the effort that it explains, on this
+recording and with --check on another one: position tracks its set-point whatever the plant is.
+Exit status 1: the model explains too little.
 """
 
 
@@ -43,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="rated torque or force at the output [N m or N]: a drive tells 6077h in parts of it",
     )
     parser.add_argument(
+        "--inverse", action="store_true", help="only least squares, without an emulated drive"
+    )
+    parser.add_argument(
         "--truth", action="store_true", help="use the true state of an emulated drive"
     )
     parser.add_argument(
@@ -63,15 +77,18 @@ def run(options: argparse.Namespace) -> int:
         raise RigError("--rated", f"{options.rated} is not above 0", "give N m or N")
     samples = _samples(options, options.file, options.motor)
     fit = fitted(samples)
+    if not options.inverse:
+        fit = refined(samples, fit)
+    sides = _sides(fit, samples)
     checked = None
     if options.check is not None:
         checked = effort_error(fit, _samples(options, options.check, samples.name))
     if options.output is not None:
         _write(options.output, table_of(fit, samples, options.gear))
     if options.json:
-        print(json.dumps(_as_json(fit, samples, checked, options.gear), indent=1))
+        print(json.dumps(_as_json(fit, sides, samples, checked, options.gear), indent=1))
     else:
-        _print(fit, samples, checked)
+        _print(fit, sides, samples, checked)
     worst = fit.error if checked is None else max(fit.error, checked)
     if worst > _POOR:
         print(
@@ -94,10 +111,17 @@ def _write(path: Path, text: str) -> None:
         raise RigError(path, f"cannot be written: {error.strerror}", "name another file") from None
 
 
-def _print(fit: Fit, samples: Samples, checked: float | None) -> None:
+def _sides(fit: Fit, samples: Samples) -> dict[str, Parameter]:
+    """Return the frictions of each direction, if they explain the effort better; else none."""
+    delay = fit.parameters.get(DELAY)
+    sides, error = friction_by_direction(samples, 0.0 if delay is None else delay.value)
+    return sides if error < _BETTER * fit.error else {}
+
+
+def _print(fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None) -> None:
     rate = 1.0 / samples.period_s
     print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
-    rows = [_row(one, samples.unit) for one in fit.parameters.values()]
+    rows = [_row(one, samples.unit) for one in (*fit.parameters.values(), *sides.values())]
     print_table(("parameter", "value", "unit", "deviation", "remark"), rows, words=(0, 2, 4))
     print(f"effort not explained: {fit.error:.1%}", end="")
     print("" if checked is None else f"; on the other recording {checked:.1%}")
@@ -106,10 +130,12 @@ def _print(fit: Fit, samples: Samples, checked: float | None) -> None:
 def _row(one: Parameter, unit: str) -> tuple[str, ...]:
     remark = f"not seen: {one.unseen}; {one.remedy}" if one.unseen else ""
     share = f"{one.relative:.1%}" if one.value else "-"
-    return one.name, f"{one.value:.5g}", UNITS[one.name][unit], share, remark
+    return one.name, f"{one.value:.5g}", unit_of(one.name, unit), share, remark
 
 
-def _as_json(fit: Fit, samples: Samples, checked: float | None, gear: float) -> dict[str, object]:
+def _as_json(
+    fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None, gear: float
+) -> dict[str, object]:
     return {
         "motor": samples.name,
         "unit": samples.unit,
@@ -119,12 +145,12 @@ def _as_json(fit: Fit, samples: Samples, checked: float | None, gear: float) -> 
         "parameters": {
             one.name: {
                 "value": one.value,
-                "unit": UNITS[one.name][samples.unit],
+                "unit": unit_of(one.name, samples.unit),
                 "deviation": one.deviation,
                 "unseen": one.unseen or None,
                 "remedy": one.remedy or None,
             }
-            for one in fit.parameters.values()
+            for one in (*fit.parameters.values(), *sides.values())
         },
         "plant": plant_keys(fit, samples.unit, gear),
         "effort_error": fit.error,

@@ -6,13 +6,18 @@ from typing import Final
 from motorhil.harness.identification.inverse_model import Fit
 from motorhil.harness.identification.samples import Samples
 
-UNITS: Final[Mapping[str, Mapping[str, str]]] = {
+_UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "inertia": {"rad": "kg·m²", "m": "kg"},
     "viscous": {"rad": "N·m·s/rad", "m": "N·s/m"},
     "coulomb": {"rad": "N·m", "m": "N"},
     "offset": {"rad": "N·m", "m": "N"},
+    "delay": {"rad": "s", "m": "s"},
 }
-"""Units of the parameters at the output, for turning and for linear axes."""
+
+
+def unit_of(name: str, unit: str) -> str:
+    """Return the unit of a parameter at the output of an axis in this unit, "rad" or "m"."""
+    return _UNITS[name.partition(" ")[0]][unit]
 
 
 def plant_keys(fit: Fit, unit: str, gear: float) -> dict[str, float]:
@@ -45,7 +50,7 @@ def table_of(fit: Fit, samples: Samples, gear: float) -> str:
         f"# effort not explained: {fit.error:.1%}",
     ]
     for one in fit.parameters.values():
-        unit = UNITS[one.name][samples.unit]
+        unit = unit_of(one.name, samples.unit)
         told = f"# {one.name} at the output: {one.value:.5g} {unit}, deviation {one.relative:.1%}"
         lines.append(f"{told}; not seen: {one.unseen}; {one.remedy}" if one.unseen else told)
     lines.append("[plant]")

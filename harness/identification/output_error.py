@@ -1,0 +1,188 @@
+"""Parameters of a plant by output error, through an emulated drive that follows the recording.
+
+The search starts from the inverse dynamic model, and minimises the pull that the drive needs
+(`follower`). A delay between positions and efforts is a parameter of its own, because a delay of
+one sample that is left in spoils the inertia first.
+
+Two things keep the deviations honest. The derivatives come from a run without the noise of the
+recorded efforts, as instruments do: otherwise noise would be in derivatives and residuals alike.
+And the residuals e are correlated, so that with derivatives J the covariance is A^-1 B A^-1, where
+A = J'J, and B sums J_i' J_k c(i - k) with the correlation c of e, weighted by Bartlett's window.
+
+Source: Newey and West, "A Simple, Positive Semi-definite, Heteroskedasticity and Autocorrelation
+Consistent Covariance Matrix", Econometrica 55 (1987); Janot, Vandanjon and Gautier, "A Generic
+Instrumental Variable Approach for Industrial Robot Identification", IEEE Trans. CST 22 (2014).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+
+from motorhil.harness.identification.follower import Motion, motion_of, plant_of, pull_of
+from motorhil.harness.identification.inverse_model import (
+    DELAY,
+    NAMES,
+    Fit,
+    Parameter,
+    fit_of,
+    terms_of,
+)
+from motorhil.harness.identification.samples import Samples
+from motorhil.harness.rig.config.toml import RigError
+
+if TYPE_CHECKING:
+    from numpy import bool_, float64
+    from numpy.typing import NDArray
+
+_REDUCED: Final = 5.0  # residuals in one period of the drive's loop, roughly
+_EDGE_LOOPS: Final = 6.0  # left out at both ends, as an angle of the loop
+_REST: Final = 0.01  # of the highest speed: below it the axis rests, and shows nothing
+_DELAY_SAMPLES: Final = 20.0
+_STEP: Final = 0.02  # of each parameter, for derivatives
+_LEAST: Final = 0.02  # of the effort: the scale of a parameter that starts near zero
+_WINDOW: Final = 3  # residuals over which their correlation is counted
+_BIAS: Final = np.array([5e-4, 2e-3, 1e-3, 5e-4, 0.0])
+"""Share of each value by which samples and ticks bias it, as measured without any noise."""
+_ROUNDS: Final = 2
+_RUNS: Final = 6  # of the drive in each round, beside those for derivatives
+
+
+def refined(samples: Samples, start: Fit) -> Fit:
+    """Return the model that lets the emulated drive follow the samples with the least pull.
+
+    Args:
+        samples: the recording.
+        start: its inverse dynamic model.
+
+    Raises:
+        RigError: the samples do not show the inertia, without which no plant can be emulated.
+    """
+    inertia = start.parameters["inertia"]
+    if inertia.unseen or not inertia.value > 0.0:
+        why = inertia.unseen or "its effort contradicts its acceleration"
+        raise RigError(
+            samples.name,
+            f"the recording does not show the inertia: {why}",
+            inertia.remedy or "check the sign of torque and position",
+        )
+    values, deviations = _Search(samples, start).found()
+    delay_s = float(values[-1])
+    found = fit_of(values[:-1], deviations[:-1], terms_of(samples, delay_s))
+    found.parameters[DELAY] = _delay(delay_s, float(deviations[-1]), samples.period_s)
+    return found
+
+
+def _delay(value: float, deviation: float, period_s: float) -> Parameter:
+    if deviation <= period_s:
+        return Parameter(DELAY, value, deviation)
+    why = "the effort changes too slowly"
+    return Parameter(DELAY, value, deviation, why, "accelerate harder, with several ramps")
+
+
+@final
+class _Search:
+    """The search for the parameters of one recording, in units of their own size."""
+
+    def __init__(self, samples: Samples, start: Fit) -> None:
+        first = [start.parameters[name].value for name in NAMES]
+        self._motion = motion_of(samples, first[0])
+        velocity = _smoothed_velocity(self._motion)
+        effort = float(np.std(samples.effort))
+        least = _LEAST * effort / np.array([np.inf, np.std(velocity), 1.0, 1.0])
+        self._scale = np.append(np.maximum(np.abs(first), least), samples.period_s)
+        self._start = np.append(first, 0.0) / self._scale
+        self._smooth = replace(self._motion, effort=_predicted(self._motion, velocity, first))
+        speed = np.abs(self._reduced(velocity))
+        self._moves: NDArray[bool_] = speed > _REST * float(speed.max())
+
+    def found(self) -> "tuple[NDArray[float64], NDArray[float64]]":
+        """Return values and deviations of NAMES and the delay."""
+        from scipy import optimize
+
+        low = np.array([1e-3, 0.0, 0.0, -np.inf, -_DELAY_SAMPLES])
+        high = np.array([np.inf, np.inf, np.inf, np.inf, _DELAY_SAMPLES])
+        place = np.clip(self._start, low, high)
+        for _ in range(_ROUNDS):
+            slopes = self._slopes(place)
+            result = optimize.least_squares(
+                lambda at: self._residuals(at, self._motion),
+                place,
+                _constant(slopes),
+                bounds=(low, high),
+                xtol=1e-4,
+                ftol=1e-5,
+                max_nfev=_RUNS,
+            )
+            place = result.x
+        covariance = _covariance(slopes, result.fun, self._moves)
+        variances = np.diag(covariance) + (_BIAS * place) ** 2
+        return place * self._scale, np.sqrt(variances) * self._scale
+
+    def _residuals(self, place: "NDArray[float64]", motion: Motion) -> "NDArray[float64]":
+        values = place * self._scale
+        plant = plant_of(motion, dict(zip(NAMES, values[:-1].tolist(), strict=True)))
+        return self._reduced(pull_of(motion, plant, float(values[-1]))) * self._moves
+
+    def _slopes(self, place: "NDArray[float64]") -> "NDArray[float64]":
+        """Return the derivatives, shape (n, 5), in a run on smooth efforts."""
+        base = self._residuals(place, self._smooth)
+        columns: Sequence[NDArray[float64]] = [
+            (self._residuals(place + _STEP * unit, self._smooth) - base) / _STEP
+            for unit in np.eye(len(place))
+        ]
+        return np.column_stack(columns)
+
+    def _reduced(self, values: "NDArray[float64]") -> "NDArray[float64]":
+        """Return a signal low-passed and decimated to the band of the drive's loop."""
+        from scipy import signal
+
+        angle = self._motion.loop_rad_s * self._motion.tick_s
+        edge = min(round(_EDGE_LOOPS / angle), len(values) // 8)
+        every = max(1, round(2.0 * np.pi / (_REDUCED * angle)))
+        low = signal.butter(4, min(0.8, 0.8 / every))
+        out: NDArray[float64] = signal.filtfilt(*low, values[edge:-edge])[::every]
+        return out
+
+
+def _constant(slopes: "NDArray[float64]") -> "Callable[[NDArray[float64]], NDArray[float64]]":
+    return lambda _: slopes
+
+
+def _covariance(
+    slopes: "NDArray[float64]", rest: "NDArray[float64]", moves: "NDArray[bool_]"
+) -> "NDArray[float64]":
+    """Return the covariance (p, p) for derivatives (n, p) and residuals (n,), 0 at rest."""
+    count, size = int(moves.sum()), slopes.shape[1]
+    inverse = np.linalg.pinv(slopes.T @ slopes)
+    middle = float(rest @ rest) / count * (slopes.T @ slopes)
+    for lag in range(1, _WINDOW + 1):
+        pairs = int((moves[:-lag] & moves[lag:]).sum())
+        weight = (1.0 - lag / (_WINDOW + 1)) * float(rest[:-lag] @ rest[lag:]) / max(1, pairs)
+        product = slopes[:-lag].T @ slopes[lag:]
+        middle += weight * (product + product.T)
+    out: NDArray[float64] = inverse @ middle @ inverse * (count / max(1, count - size))
+    return out
+
+
+def _smoothed_velocity(motion: Motion) -> "NDArray[float64]":
+    from scipy import signal
+
+    angle = motion.loop_rad_s * motion.tick_s
+    position = signal.filtfilt(*signal.butter(4, min(0.8, 2.0 * angle)), motion.position)
+    out: NDArray[float64] = np.gradient(position, motion.tick_s)
+    return out
+
+
+def _predicted(
+    motion: Motion, velocity: "NDArray[float64]", first: Sequence[float]
+) -> "NDArray[float64]":
+    """Return the effort that the inverse model expects, divided as in `motion`."""
+    inertia, viscous, coulomb, offset = first
+    slow = _REST * float(np.max(np.abs(velocity)))
+    effort = inertia * np.gradient(velocity, motion.tick_s) + viscous * velocity + offset
+    out: NDArray[float64] = (effort + coulomb * np.clip(velocity / slow, -1.0, 1.0)) / (
+        motion.inertia
+    )
+    return out
