@@ -18,7 +18,7 @@ from motorhil.harness.identification.inverse_model import (
 )
 from motorhil.harness.identification.output_error import refined
 from motorhil.harness.identification.plant_table import plant_keys, table_of, unit_of
-from motorhil.harness.identification.samples import Samples, samples_in
+from motorhil.harness.identification.samples import Reading, Samples, samples_in
 from motorhil.harness.rig.config.toml import RigError
 
 _POOR: Final = 0.3
@@ -35,7 +35,7 @@ Exit status 1: the model explains too little.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `identify`."""
     parser.epilog = _EPILOG
-    parser.add_argument("file", type=Path, metavar="RECORDING", help="a recording (MCAP)")
+    parser.add_argument("file", type=Path, metavar="RECORDING", help="a recording")
     parser.add_argument("--motor", metavar="NAME", help="the motor; absent: the only one")
     parser.add_argument(
         "--check", type=Path, metavar="RECORDING", help="judge the model on this recording, too"
@@ -51,7 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rated",
         type=float,
         metavar="TORQUE",
-        help="rated torque or force at the output [N m or N]: a drive tells 6077h in parts of it",
+        help="rated torque or force at the output [N m or N], in parts of which a drive tells "
+        "6077h; absent: by 6076h and --gear, if the recording has 6076h",
+    )
+    parser.add_argument(
+        "--rig",
+        type=Path,
+        metavar="RIG",
+        help="a rig that knows the motor's place and units, if the recording has none",
     )
     parser.add_argument(
         "--inverse", action="store_true", help="only least squares, without an emulated drive"
@@ -101,7 +108,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _samples(options: argparse.Namespace, file: Path, motor: str | None) -> Samples:
-    return samples_in(file, motor, truth=options.truth, rated=options.rated)
+    how = Reading(truth=options.truth, rated=options.rated, gear=options.gear, rig=options.rig)
+    return samples_in(file, motor, how)
 
 
 def _write(path: Path, text: str) -> None:

@@ -6,27 +6,33 @@ drive's true state, unless this is asked for.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.report.collect import collect
 from motorhil.harness.report.motors import Line, Motor, motors_of
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.recording import files_of
+from motorhil.harness.rig.rig import describe
 from motorhil.settings import listed, nearest
 from motorhil.traces.errors import TraceError
-from motorhil.traces.mcap.reader import read_trace
+from motorhil.traces.mcap.records import Attachment
 
 if TYPE_CHECKING:
     from numpy import float64
     from numpy.typing import NDArray
 
 _LEAST: Final = 200
+_PAUSE: Final = 1.5  # periods without a value: the same value was repeated
 _EFFORTS: Final = ("N·m", "N")
 _RATED: Final = "‰ of rated"
 _PARTS: Final = 1000.0
 _POSITIONS: Final = ("rad", "m")
 _TRUTH: Final = "truth"
+_RATED_TORQUE: Final = 0x6076
+_MILLI: Final = 1e-3  # 6076h counts in mN m
 
 
 @final
@@ -59,39 +65,72 @@ class Samples:
         return (len(self) - 1) * self.period_s
 
 
-def samples_in(
-    file: Path, motor: str | None = None, *, truth: bool = False, rated: float | None = None
-) -> Samples:
-    """Return the samples of a motor in a recording.
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """How to read a recording.
+
+    Attributes:
+        truth: use the true state of an emulated drive.
+        rated: rated torque or force at the output [N m or N], in parts of which a drive tells
+            6077h; None: that of 6076h, if the recording has it.
+        gear: motor turns per turn of the output; 6076h is a torque of the motor.
+        rig: the rig whose models know the motors' units; None: that of the recording.
+    """
+
+    truth: bool = False
+    rated: float | None = None
+    gear: float = 1.0
+    rig: Path | None = None
+
+
+def samples_in(file: Path, motor: str | None = None, how: Reading | None = None) -> Samples:
+    """Return the samples of a motor in a recording of any format.
 
     Args:
         file: the recording.
         motor: its name; None: the only one.
-        truth: use the true state of an emulated drive.
-        rated: rated torque or force at the output [N m or N]; 6077h is told in parts of it.
+        how: where its units come from; None: from the recording.
 
     Raises:
         RigError: it has no such motor, or no position and effort of it in SI units.
     """
+    how = how or Reading()
     try:
-        with read_trace(file) as trace:
+        with open_recording(file, attachments=_attachments(how.rig)) as trace:
             motors = motors_of(collect(trace))
     except TraceError as error:
         raise RigError(error.path, error.what, error.remedy) from None
     chosen = _chosen(file, motors, motor)
-    position = _line(chosen, "position", _POSITIONS, truth)
-    effort = _line(chosen, "torque", _EFFORTS if rated is None else (_RATED,), truth)
-    for what, line in (("position", position), ("torque or force", effort)):
-        if line is None:
-            remedy = "give --rated for 6077h of a drive, or --truth for an emulated one"
-            problem = f"holds no {what} of {chosen.name} in SI units"
-            raise RigError(file, problem, remedy)
-    assert position is not None
-    assert effort is not None
-    found = _even(file, chosen.name, position[1], position[0], effort[0])
-    if rated is None:
-        return found
-    return replace(found, effort=found.effort * (rated / _PARTS))
+    position = _line(chosen, "position", _POSITIONS, how.truth)
+    if position is None:
+        remedy = "name a rig whose motor model has increments: --rig RIG"
+        raise RigError(file, f"holds no position of {chosen.name} in SI units", remedy)
+    found = None if how.rated is not None else _line(chosen, "torque", _EFFORTS, how.truth)
+    if found is not None:
+        return _even(file, chosen.name, position[1], position[0], found[0])
+    told = _line(chosen, "torque", (_RATED,), how.truth)
+    rated = how.rated if how.rated is not None else _rated(chosen, how.gear)
+    if told is None or rated is None:
+        remedy = "give --rated for 6077h of a drive, or --truth for an emulated one"
+        problem = f"holds no torque or force of {chosen.name} in SI units"
+        raise RigError(file, problem, remedy)
+    parts = _even(file, chosen.name, position[1], position[0], told[0])
+    return replace(parts, effort=parts.effort * (rated / _PARTS))
+
+
+def _attachments(rig: Path | None) -> list[Attachment]:
+    if rig is None:
+        return []
+    return [Attachment(name, media, 0, data) for name, media, data in files_of(describe(rig))]
+
+
+def _rated(motor: Motor, gear: float) -> float | None:
+    """Return the rated torque at the output [N m] by 6076h; None: the drive has not told it."""
+    track = None if motor.told is None else motor.told.tracks.get(_RATED_TORQUE)
+    if track is None or not track.last:
+        return None
+    return track.last * _MILLI * gear
 
 
 def _chosen(file: Path, motors: list[Motor], name: str | None) -> Motor:
@@ -134,7 +173,18 @@ def _even(file: Path, name: str, unit: str, position: Line, effort: Line) -> Sam
         name,
         unit,
         period_ns / 1e9,
-        np.interp(grid, position.times_ns, position.values),
-        np.interp(grid, effort.times_ns, effort.values),
+        _on_grid(grid, position, period_ns),
+        _on_grid(grid, effort, period_ns),
         f"{position.source}, {effort.source}",
     )
+
+
+def _on_grid(grid: "NDArray[Any]", line: Line, period_ns: float) -> "NDArray[float64]":
+    """Return a line on the grid; one that lacks repeated values keeps the last one meanwhile."""
+    times, values = line.times_ns.astype(float), line.values
+    if line.held:
+        pauses = np.flatnonzero(np.diff(times) > _PAUSE * period_ns)
+        times = np.insert(times, pauses + 1, times[pauses + 1] - period_ns)
+        values = np.insert(values, pauses + 1, values[pauses])
+    found: NDArray[float64] = np.interp(grid, times, values)
+    return found

@@ -53,19 +53,20 @@ def random_recording(seed, rate_hz=1000, duration_s=12.0, noise=0.01):
     axis = Axis(plant, ServoGains.tuned(plant, 1_000_000, 10))
     axis.power(True)
     per_rad, gear = plant.increments_per_rad(), plant.gear_ratio
-    count = int(duration_s * rate_hz)
+    count, every = int(duration_s * rate_hz), 1000 // rate_hz
     position, torque = np.empty(count), np.empty(count)
-    target, following = 0.0, 0
-    for number in range(count):
-        axis.at(number * (1_000_000_000 // rate_hz))
-        if number >= following:
+    target, following_ms = 0.0, 0
+    for now_ms in range(count * every):
+        axis.at(now_ms * 1_000_000)
+        if now_ms >= following_ms:
             fast = speed * draws.uniform(0.2, 1)
             hard = acceleration * draws.uniform(0.5, 1)
             target += draws.choice([-1, 1]) * fast * draws.uniform(0.4, 1.2)
             axis.move_to(int(target * per_rad), fast * per_rad, hard * per_rad, hard * per_rad)
-            following = number + int(rate_hz * draws.uniform(0.7, 1.5))
-        position[number] = axis.position_inc() / per_rad / gear
-        torque[number] = axis.torque_n_m()
+            following_ms = now_ms + int(1000 * draws.uniform(0.7, 1.5))
+        if now_ms % every == 0:
+            position[now_ms // every] = axis.position_inc() / per_rad / gear
+            torque[now_ms // every] = axis.torque_n_m()
     rated = 3 * plant.inertia_kg_m2() * acceleration * gear
     torque += noise * rated * draws.standard_normal(count)
     true = {
