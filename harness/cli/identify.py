@@ -16,12 +16,15 @@ from motorhil.harness.identification.inverse_model import (
     fitted,
     friction_by_direction,
 )
-from motorhil.harness.identification.output_error import refined
+from motorhil.harness.identification.output_error import compared, refined
+from motorhil.harness.identification.picture import page_of
 from motorhil.harness.identification.plant_table import plant_keys, table_of, unit_of
 from motorhil.harness.identification.samples import Reading, Samples, samples_in
 from motorhil.harness.rig.config.toml import RigError
 
 _POOR: Final = 0.3
+_HEAD: Final = ("parameter", "value", "unit", "deviation", "remark")
+_EFFORTS: Final = {"rad": "torque", "m": "force"}
 _BETTER: Final = 0.9  # of the effort that is left: below it, friction depends on the direction
 _EPILOG: Final = """\
 The model is effort = inertia * a + viscous * v + coulomb * sign(v) + offset, at the output. Least
@@ -69,6 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write the plant's keys (TOML)"
     )
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="PAGE",
+        help="draw recorded against emulated efforts, of the --check if there is one (HTML)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -87,9 +96,12 @@ def run(options: argparse.Namespace) -> int:
     if not options.inverse:
         fit = refined(samples, fit)
     sides = _sides(fit, samples)
-    checked = None
+    checked, judged = None, samples
     if options.check is not None:
-        checked = effort_error(fit, _samples(options, options.check, samples.name))
+        judged = _samples(options, options.check, samples.name)
+        checked = effort_error(fit, judged)
+    if options.picture is not None:
+        _write(options.picture, _page(fit, sides, judged, checked))
     if options.output is not None:
         _write(options.output, table_of(fit, samples, options.gear))
     if options.json:
@@ -126,13 +138,24 @@ def _sides(fit: Fit, samples: Samples) -> dict[str, Parameter]:
     return sides if error < _BETTER * fit.error else {}
 
 
+def _page(fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None) -> str:
+    rows = [_row(one, samples.unit) for one in (*fit.parameters.values(), *sides.values())]
+    effort = f"{_EFFORTS[samples.unit]} [{unit_of('offset', samples.unit)}]"
+    found = compared(samples, fit)
+    return page_of(samples.name, _verdict(fit, checked), [_HEAD, *rows], found, effort)
+
+
+def _verdict(fit: Fit, checked: float | None) -> str:
+    told = f"effort not explained: {fit.error:.1%}"
+    return told if checked is None else f"{told}; on the other recording {checked:.1%}"
+
+
 def _print(fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None) -> None:
     rate = 1.0 / samples.period_s
     print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
     rows = [_row(one, samples.unit) for one in (*fit.parameters.values(), *sides.values())]
-    print_table(("parameter", "value", "unit", "deviation", "remark"), rows, words=(0, 2, 4))
-    print(f"effort not explained: {fit.error:.1%}", end="")
-    print("" if checked is None else f"; on the other recording {checked:.1%}")
+    print_table(_HEAD, rows, words=(0, 2, 4))
+    print(_verdict(fit, checked))
 
 
 def _row(one: Parameter, unit: str) -> tuple[str, ...]:

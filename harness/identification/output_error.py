@@ -15,8 +15,8 @@ Instrumental Variable Approach for Industrial Robot Identification", IEEE Trans.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final, final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -82,6 +82,36 @@ def _delay(value: float, deviation: float, period_s: float) -> Parameter:
 
 
 @final
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Recorded and emulated efforts of one motion, low-passed to the band of the drive's loop.
+
+    Attributes:
+        times_s: shape (n,), from the recording's beginning.
+        recorded, emulated: at the output, shape (n,) each [N m or N].
+    """
+
+    times_s: "NDArray[float64]"
+    recorded: "NDArray[float64]"
+    emulated: "NDArray[float64]"
+
+
+def compared(samples: Samples, fit: Fit) -> Comparison:
+    """Return the efforts of the recording, and those of an emulated plant that moves alike."""
+    values = {name: max(one.value, 0.0) for name, one in fit.parameters.items()}
+    values["offset"] = fit.parameters["offset"].value
+    delay = fit.parameters.get(DELAY)
+    delay_s = 0.0 if delay is None else delay.value
+    motion = motion_of(samples, values["inertia"])
+    times = np.arange(len(motion.position)) * motion.tick_s
+    effort = np.interp(times + delay_s, times, motion.effort)
+    pull = pull_of(motion, plant_of(motion, values), delay_s)
+    recorded, added, at = (_reduced(motion, one) for one in (effort, pull, times))
+    inertia = motion.inertia
+    return Comparison(at, recorded * inertia, (recorded + added) * inertia)
+
+
+@final
 class _Search:
     """The search for the parameters of one recording, in units of their own size."""
 
@@ -94,7 +124,7 @@ class _Search:
         self._scale = np.append(np.maximum(np.abs(first), least), samples.period_s)
         self._start = np.append(first, 0.0) / self._scale
         self._smooth = replace(self._motion, effort=_predicted(self._motion, velocity, first))
-        speed = np.abs(self._reduced(velocity))
+        speed = np.abs(_reduced(self._motion, velocity))
         self._moves: NDArray[bool_] = speed > _REST * float(speed.max())
 
     def found(self) -> "tuple[NDArray[float64], NDArray[float64]]":
@@ -123,7 +153,7 @@ class _Search:
     def _residuals(self, place: "NDArray[float64]", motion: Motion) -> "NDArray[float64]":
         values = place * self._scale
         plant = plant_of(motion, dict(zip(NAMES, values[:-1].tolist(), strict=True)))
-        return self._reduced(pull_of(motion, plant, float(values[-1]))) * self._moves
+        return _reduced(motion, pull_of(motion, plant, float(values[-1]))) * self._moves
 
     def _slopes(self, place: "NDArray[float64]") -> "NDArray[float64]":
         """Return the derivatives, shape (n, 5), in a run on smooth efforts."""
@@ -134,16 +164,17 @@ class _Search:
         ]
         return np.column_stack(columns)
 
-    def _reduced(self, values: "NDArray[float64]") -> "NDArray[float64]":
-        """Return a signal low-passed and decimated to the band of the drive's loop."""
-        from scipy import signal
 
-        angle = self._motion.loop_rad_s * self._motion.tick_s
-        edge = min(round(_EDGE_LOOPS / angle), len(values) // 8)
-        every = max(1, round(2.0 * np.pi / (_REDUCED * angle)))
-        low = signal.butter(4, min(0.8, 0.8 / every))
-        out: NDArray[float64] = signal.filtfilt(*low, values[edge:-edge])[::every]
-        return out
+def _reduced(motion: Motion, values: "NDArray[Any]") -> "NDArray[float64]":
+    """Return a signal low-passed and decimated to the band of the drive's loop."""
+    from scipy import signal
+
+    angle = motion.loop_rad_s * motion.tick_s
+    edge = min(round(_EDGE_LOOPS / angle), len(values) // 8)
+    every = max(1, round(2.0 * np.pi / (_REDUCED * angle)))
+    low = signal.butter(4, min(0.8, 0.8 / every))
+    out: NDArray[float64] = signal.filtfilt(*low, values[edge:-edge])[::every]
+    return out
 
 
 def _constant(slopes: "NDArray[float64]") -> "Callable[[NDArray[float64]], NDArray[float64]]":
