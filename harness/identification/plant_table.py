@@ -6,6 +6,7 @@ from typing import Final
 from motorhil.harness.identification.inverse_model import Fit
 from motorhil.harness.identification.samples import Samples
 
+_ROTOR: Final = "rotor_inertia_kg_m2"
 _UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "inertia": {"rad": "kg·m²", "m": "kg"},
     "viscous": {"rad": "N·m·s/rad", "m": "N·s/m"},
@@ -33,7 +34,7 @@ def plant_keys(fit: Fit, unit: str, gear: float) -> dict[str, float]:
     values = {name: one.value for name, one in fit.parameters.items() if not one.unseen}
     keys: dict[str, float] = {}
     if "inertia" in values:
-        keys["rotor_inertia_kg_m2"] = values["inertia"] / gear**2
+        keys[_ROTOR] = values["inertia"] / gear**2
     if "viscous" in values:
         keys["viscous_friction_n_m_s_rad"] = max(0.0, values["viscous"] / gear**2)
     if "coulomb" in values:
@@ -57,4 +58,6 @@ def table_of(fit: Fit, samples: Samples, gear: float) -> str:
     lines.append(f"gear_ratio = {gear!r}")
     keys = plant_keys(fit, samples.unit, gear)
     lines += [f"{key} = {value:.6g}" for key, value in keys.items()]
+    if _ROTOR in keys:
+        lines.append("load_inertia_kg_m2 = 0.0  # included in the rotor's")
     return "\n".join(lines) + "\n"
