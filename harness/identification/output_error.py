@@ -43,7 +43,7 @@ _DELAY_SAMPLES: Final = 20.0
 _STEP: Final = 0.02  # of each parameter, for derivatives
 _LEAST: Final = 0.02  # of the effort: the scale of a parameter that starts near zero
 _WINDOW: Final = 3  # residuals over which their correlation is counted
-_BIAS: Final = np.array([5e-4, 2e-3, 1e-3, 5e-4, 0.0])
+_BIAS: Final = np.array([5e-4, 1e-3, 1e-3, 0.0, 0.0])
 """Share of each value by which samples and ticks bias it, as measured without any noise."""
 _ROUNDS: Final = 2
 _RUNS: Final = 6  # of the drive in each round, beside those for derivatives

@@ -96,12 +96,7 @@ def samples_in(file: Path, motor: str | None = None, how: Reading | None = None)
         RigError: it has no such motor, or no position and effort of it in SI units.
     """
     how = how or Reading()
-    try:
-        with open_recording(file, attachments=_attachments(how.rig)) as trace:
-            motors = motors_of(collect(trace))
-    except TraceError as error:
-        raise RigError(error.path, error.what, error.remedy) from None
-    chosen = _chosen(file, motors, motor)
+    chosen = _chosen(file, motors_in(file, how.rig), motor)
     position = _line(chosen, "position", _POSITIONS, how.truth)
     if position is None:
         remedy = "name a rig whose motor model has increments: --rig RIG"
@@ -117,6 +112,19 @@ def samples_in(file: Path, motor: str | None = None, how: Reading | None = None)
         raise RigError(file, problem, remedy)
     parts = _even(file, chosen.name, position[1], position[0], told[0])
     return replace(parts, effort=parts.effort * (rated / _PARTS))
+
+
+def motors_in(file: Path, rig: Path | None = None) -> list[Motor]:
+    """Return the motors in a recording of any format, with units by a rig if it has none.
+
+    Raises:
+        RigError: the recording cannot be read, or the rig cannot be used.
+    """
+    try:
+        with open_recording(file, attachments=_attachments(rig)) as trace:
+            return motors_of(collect(trace))
+    except TraceError as error:
+        raise RigError(error.path, error.what, error.remedy) from None
 
 
 def _attachments(rig: Path | None) -> list[Attachment]:
@@ -161,9 +169,7 @@ def _even(file: Path, name: str, unit: str, position: Line, effort: Line) -> Sam
     """Return both lines on one grid, whose period is the usual one of the positions."""
     begin = max(int(position.times_ns[0]), int(effort.times_ns[0]))
     end = min(int(position.times_ns[-1]), int(effort.times_ns[-1]))
-    steps = np.diff(position.times_ns)
-    steps = steps[steps > 0]
-    period_ns = float(np.median(steps)) if len(steps) else 0.0
+    period_ns = usual_period_ns(position)
     count = int((end - begin) / period_ns) + 1 if period_ns else 0
     if count < _LEAST:
         problem = f"has {max(0, count)} samples of {name}; at least {_LEAST} are needed"
@@ -173,13 +179,20 @@ def _even(file: Path, name: str, unit: str, position: Line, effort: Line) -> Sam
         name,
         unit,
         period_ns / 1e9,
-        _on_grid(grid, position, period_ns),
-        _on_grid(grid, effort, period_ns),
+        on_grid(grid, position, period_ns),
+        on_grid(grid, effort, period_ns),
         f"{position.source}, {effort.source}",
     )
 
 
-def _on_grid(grid: "NDArray[Any]", line: Line, period_ns: float) -> "NDArray[float64]":
+def usual_period_ns(line: Line) -> float:
+    """Return the median distance of a line's values [ns]; 0.0: all are at one time."""
+    steps = np.diff(line.times_ns)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def on_grid(grid: "NDArray[Any]", line: Line, period_ns: float) -> "NDArray[float64]":
     """Return a line on the grid; one that lacks repeated values keeps the last one meanwhile."""
     times, values = line.times_ns.astype(float), line.values
     if line.held:

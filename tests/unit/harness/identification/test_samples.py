@@ -56,5 +56,5 @@ def test_values_that_a_line_does_not_repeat_are_held():
     times = np.array([0, 10, 20, 100, 110]) * MS
     line = Line("position", "actual", "the bus", True, times, np.array([0.0, 1.0, 2.0, 3.0, 4.0]))
     grid = np.arange(0, 120, 10) * float(MS)
-    found = samples._on_grid(grid, line, 10.0 * MS)
+    found = samples.on_grid(grid, line, 10.0 * MS)
     assert found.tolist() == [0.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.0, 4.0]
