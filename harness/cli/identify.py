@@ -3,8 +3,9 @@
 import argparse
 import json
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, final
 
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table
@@ -18,7 +19,8 @@ from motorhil.harness.identification.inverse_model import (
 )
 from motorhil.harness.identification.output_error import compared, refined
 from motorhil.harness.identification.picture import page_of
-from motorhil.harness.identification.plant_table import plant_keys, table_of, unit_of
+from motorhil.harness.identification.plant_table import BACKLASH, plant_keys, table_of, unit_of
+from motorhil.harness.identification.resonance import Resonance, resonance_in
 from motorhil.harness.identification.samples import Reading, Samples, samples_in
 from motorhil.harness.rig.config.toml import RigError
 
@@ -91,32 +93,118 @@ def run(options: argparse.Namespace) -> int:
         raise RigError("--gear", f"{options.gear} is not above 0", "give motor turns per turn")
     if options.rated is not None and not options.rated > 0.0:
         raise RigError("--rated", f"{options.rated} is not above 0", "give N m or N")
-    samples = _samples(options, options.file, options.motor)
-    fit = fitted(samples)
-    if not options.inverse:
-        fit = refined(samples, fit)
-    sides = _sides(fit, samples)
-    checked, judged = None, samples
-    if options.check is not None:
-        judged = _samples(options, options.check, samples.name)
-        checked = effort_error(fit, judged)
+    found = _found(options)
     if options.picture is not None:
-        _write(options.picture, _page(fit, sides, judged, checked))
+        _write(options.picture, found.page())
     if options.output is not None:
-        _write(options.output, table_of(fit, samples, options.gear))
+        text = table_of(found.fit, found.samples, options.gear, found.resonance)
+        _write(options.output, text)
     if options.json:
-        print(json.dumps(_as_json(fit, sides, samples, checked, options.gear), indent=1))
+        print(json.dumps(found.as_json(options.gear), indent=1))
     else:
-        _print(fit, sides, samples, checked)
-    worst = fit.error if checked is None else max(fit.error, checked)
+        found.show()
+    worst = max(found.fit.error, found.checked or 0.0)
     if worst > _POOR:
         print(
-            f"motorhil identify: {samples.name}: {worst:.0%} of the effort is not explained;"
+            f"motorhil identify: {found.samples.name}: {worst:.0%} of the effort is not explained;"
             f" expected at most {_POOR:.0%}; is another force at work?",
             file=sys.stderr,
         )
         return FAILED
     return PASSED
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """All that a recording shows of an axis.
+
+    Attributes:
+        samples: the recording.
+        fit: the model.
+        sides: frictions of each direction, if they explain the effort better.
+        resonance: of an elastic coupling.
+        judged: the recording that judges the fit.
+        checked: the effort that the fit does not explain there; None: it is the same recording.
+    """
+
+    samples: Samples
+    fit: Fit
+    sides: dict[str, Parameter]
+    resonance: Resonance
+    judged: Samples
+    checked: float | None
+
+    def parameters(self) -> list[Parameter]:
+        """Return the parameters of the model, then frictions of each direction."""
+        return [*self.fit.parameters.values(), *self.sides.values()]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return a row of the table for each parameter."""
+        return [_row(one, self.samples.unit) for one in self.parameters()]
+
+    def verdict(self) -> str:
+        """Return the effort that the model does not explain, as a text."""
+        told = f"effort not explained: {self.fit.error:.1%}"
+        return (
+            told if self.checked is None else f"{told}; on the other recording {self.checked:.1%}"
+        )
+
+    def show(self) -> None:
+        """Print the table and what else is known."""
+        samples = self.samples
+        rate = 1.0 / samples.period_s
+        print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
+        print_table(_HEAD, self.rows(), words=(0, 2, 4))
+        print(f"{self.resonance.told()}\n{BACKLASH}\n{self.verdict()}")
+
+    def page(self) -> str:
+        """Return the page with the picture (HTML)."""
+        unit = self.samples.unit
+        effort = f"{_EFFORTS[unit]} [{unit_of('offset', unit)}]"
+        efforts = compared(self.judged, self.fit)
+        rows = [_HEAD, *self.rows()]
+        return page_of(self.samples.name, self.verdict(), rows, efforts, effort)
+
+    def as_json(self, gear: float) -> dict[str, object]:
+        """Return the same for a machine."""
+        samples, fit, resonance = self.samples, self.fit, self.resonance
+        return {
+            "motor": samples.name,
+            "unit": samples.unit,
+            "duration_s": samples.duration_s,
+            "period_s": samples.period_s,
+            "source": samples.source,
+            "parameters": {
+                one.name: {
+                    "value": one.value,
+                    "unit": unit_of(one.name, samples.unit),
+                    "deviation": one.deviation,
+                    "unseen": one.unseen or None,
+                    "remedy": one.remedy or None,
+                }
+                for one in self.parameters()
+            },
+            "resonance": asdict(resonance) if resonance.is_seen else None,
+            "no_resonance_below_hz": None if resonance.is_seen else resonance.seen_hz,
+            "plant": plant_keys(fit, samples.unit, gear, resonance),
+            "effort_error": fit.error,
+            "effort_error_of_check": self.checked,
+            "condition": fit.condition,
+        }
+
+
+def _found(options: argparse.Namespace) -> _Found:
+    samples = _samples(options, options.file, options.motor)
+    fit = fitted(samples)
+    if not options.inverse:
+        fit = refined(samples, fit)
+    checked, judged = None, samples
+    if options.check is not None:
+        judged = _samples(options, options.check, samples.name)
+        checked = effort_error(fit, judged)
+    resonance = resonance_in(samples, fit.parameters["inertia"].value)
+    return _Found(samples, fit, _sides(fit, samples), resonance, judged, checked)
 
 
 def _samples(options: argparse.Namespace, file: Path, motor: str | None) -> Samples:
@@ -138,53 +226,7 @@ def _sides(fit: Fit, samples: Samples) -> dict[str, Parameter]:
     return sides if error < _BETTER * fit.error else {}
 
 
-def _page(fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None) -> str:
-    rows = [_row(one, samples.unit) for one in (*fit.parameters.values(), *sides.values())]
-    effort = f"{_EFFORTS[samples.unit]} [{unit_of('offset', samples.unit)}]"
-    found = compared(samples, fit)
-    return page_of(samples.name, _verdict(fit, checked), [_HEAD, *rows], found, effort)
-
-
-def _verdict(fit: Fit, checked: float | None) -> str:
-    told = f"effort not explained: {fit.error:.1%}"
-    return told if checked is None else f"{told}; on the other recording {checked:.1%}"
-
-
-def _print(fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None) -> None:
-    rate = 1.0 / samples.period_s
-    print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
-    rows = [_row(one, samples.unit) for one in (*fit.parameters.values(), *sides.values())]
-    print_table(_HEAD, rows, words=(0, 2, 4))
-    print(_verdict(fit, checked))
-
-
 def _row(one: Parameter, unit: str) -> tuple[str, ...]:
     remark = f"not seen: {one.unseen}; {one.remedy}" if one.unseen else ""
     share = f"{one.relative:.1%}" if one.value else "-"
     return one.name, f"{one.value:.5g}", unit_of(one.name, unit), share, remark
-
-
-def _as_json(
-    fit: Fit, sides: dict[str, Parameter], samples: Samples, checked: float | None, gear: float
-) -> dict[str, object]:
-    return {
-        "motor": samples.name,
-        "unit": samples.unit,
-        "duration_s": samples.duration_s,
-        "period_s": samples.period_s,
-        "source": samples.source,
-        "parameters": {
-            one.name: {
-                "value": one.value,
-                "unit": unit_of(one.name, samples.unit),
-                "deviation": one.deviation,
-                "unseen": one.unseen or None,
-                "remedy": one.remedy or None,
-            }
-            for one in (*fit.parameters.values(), *sides.values())
-        },
-        "plant": plant_keys(fit, samples.unit, gear),
-        "effort_error": fit.error,
-        "effort_error_of_check": checked,
-        "condition": fit.condition,
-    }

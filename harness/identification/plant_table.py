@@ -4,8 +4,14 @@ from collections.abc import Mapping
 from typing import Final
 
 from motorhil.harness.identification.inverse_model import Fit
+from motorhil.harness.identification.resonance import Resonance
 from motorhil.harness.identification.samples import Samples
 
+BACKLASH: Final = (
+    "backlash: not seen: positions of the motor alone do not show it;"
+    " hold the output, and move the motor slowly there and back"
+)
+_RIGID: Final = Resonance(0.0)
 _ROTOR: Final = "rotor_inertia_kg_m2"
 _UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "inertia": {"rad": "kg·m²", "m": "kg"},
@@ -21,20 +27,25 @@ def unit_of(name: str, unit: str) -> str:
     return _UNITS[name.partition(" ")[0]][unit]
 
 
-def plant_keys(fit: Fit, unit: str, gear: float) -> dict[str, float]:
+def plant_keys(fit: Fit, unit: str, gear: float, resonance: Resonance = _RIGID) -> dict[str, float]:
     """Return the plant's keys and values for a turning axis; parameters that are not seen lack.
 
     Args:
         fit: the model at the output.
         unit: "rad" or "m"; plants of linear axes are turning ones in a rig, so they have no keys.
         gear: motor turns per turn of the output; inertia and friction are told on its motor's side.
+        resonance: that of the axis, which divides the inertia between rotor and load.
     """
     if unit != "rad":
         return {}
     values = {name: one.value for name, one in fit.parameters.items() if not one.unseen}
     keys: dict[str, float] = {}
     if "inertia" in values:
-        keys[_ROTOR] = values["inertia"] / gear**2
+        load = values["inertia"] * resonance.load_share()
+        keys[_ROTOR] = (values["inertia"] - load) / gear**2
+        keys["load_inertia_kg_m2"] = load
+        if resonance.is_seen:
+            keys["coupling_stiffness_n_m_rad"] = resonance.stiffness(values["inertia"])
     if "viscous" in values:
         keys["viscous_friction_n_m_s_rad"] = max(0.0, values["viscous"] / gear**2)
     if "coulomb" in values:
@@ -44,7 +55,7 @@ def plant_keys(fit: Fit, unit: str, gear: float) -> dict[str, float]:
     return keys
 
 
-def table_of(fit: Fit, samples: Samples, gear: float) -> str:
+def table_of(fit: Fit, samples: Samples, gear: float, resonance: Resonance = _RIGID) -> str:
     """Return the model as TOML: the keys of a plant, with what is known about each."""
     lines = [
         f"# {samples.name}: {samples.duration_s:.1f} s at {1.0 / samples.period_s:.0f} Hz",
@@ -54,10 +65,8 @@ def table_of(fit: Fit, samples: Samples, gear: float) -> str:
         unit = unit_of(one.name, samples.unit)
         told = f"# {one.name} at the output: {one.value:.5g} {unit}, deviation {one.relative:.1%}"
         lines.append(f"{told}; not seen: {one.unseen}; {one.remedy}" if one.unseen else told)
-    lines.append("[plant]")
+    lines += [f"# {resonance.told()}", f"# {BACKLASH}", "[plant]"]
     lines.append(f"gear_ratio = {gear!r}")
-    keys = plant_keys(fit, samples.unit, gear)
+    keys = plant_keys(fit, samples.unit, gear, resonance)
     lines += [f"{key} = {value:.6g}" for key, value in keys.items()]
-    if _ROTOR in keys:
-        lines.append("load_inertia_kg_m2 = 0.0  # included in the rotor's")
     return "\n".join(lines) + "\n"
