@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Final, final
 
 from motorhil.harness.cli.main import FAILED, PASSED
-from motorhil.harness.cli.options import print_table
+from motorhil.harness.cli.options import print_table, real
+from motorhil.harness.identification.follower import LOOP_RAD_S
 from motorhil.harness.identification.inverse_model import (
     DELAY,
     Fit,
@@ -69,6 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--inverse", action="store_true", help="only least squares, without an emulated drive"
     )
     parser.add_argument(
+        "--loop",
+        type=real(1.0, 1e4, "rad/s"),
+        default=LOOP_RAD_S,
+        metavar="RAD_S",
+        help="natural frequency of the loop of the drive that follows; chirps need more "
+        f"(default {LOOP_RAD_S:g})",
+    )
+    parser.add_argument(
         "--truth", action="store_true", help="use the true state of an emulated drive"
     )
     parser.add_argument(
@@ -95,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
         raise RigError("--rated", f"{options.rated} is not above 0", "give N m or N")
     found = _found(options)
     if options.picture is not None:
-        _write(options.picture, found.page())
+        _write(options.picture, found.page(options.loop))
     if options.output is not None:
         text = table_of(found.fit, found.samples, options.gear, found.resonance)
         _write(options.output, text)
@@ -158,11 +167,11 @@ class _Found:
         print_table(_HEAD, self.rows(), words=(0, 2, 4))
         print(f"{self.resonance.told()}\n{BACKLASH}\n{self.verdict()}")
 
-    def page(self) -> str:
-        """Return the page with the picture (HTML)."""
+    def page(self, loop: float) -> str:
+        """Return the page with the picture (HTML), for this loop of the drive [rad/s]."""
         unit = self.samples.unit
         effort = f"{_EFFORTS[unit]} [{unit_of('offset', unit)}]"
-        efforts = compared(self.judged, self.fit)
+        efforts = compared(self.judged, self.fit, loop)
         rows = [_HEAD, *self.rows()]
         return page_of(self.samples.name, self.verdict(), rows, efforts, effort)
 
@@ -198,11 +207,15 @@ def _found(options: argparse.Namespace) -> _Found:
     samples = _samples(options, options.file, options.motor)
     fit = fitted(samples)
     if not options.inverse:
-        fit = refined(samples, fit)
+        fit = refined(samples, fit, options.loop)
     checked, judged = None, samples
     if options.check is not None:
         judged = _samples(options, options.check, samples.name)
-        checked = effort_error(fit, judged)
+        checked = (
+            effort_error(fit, judged)
+            if options.inverse
+            else compared(judged, fit, options.loop).error()
+        )
     resonance = resonance_in(samples, fit.parameters["inertia"].value)
     return _Found(samples, fit, _sides(fit, samples), resonance, judged, checked)
 
@@ -223,7 +236,7 @@ def _sides(fit: Fit, samples: Samples) -> dict[str, Parameter]:
     """Return the frictions of each direction, if they explain the effort better; else none."""
     delay = fit.parameters.get(DELAY)
     sides, error = friction_by_direction(samples, 0.0 if delay is None else delay.value)
-    return sides if error < _BETTER * fit.error else {}
+    return sides if error < _BETTER * effort_error(fit, samples) else {}
 
 
 def _row(one: Parameter, unit: str) -> tuple[str, ...]:

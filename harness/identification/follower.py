@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.interpolate import CubicSpline
 
-_LOOP_RAD_S: Final = 60.0
-_LOOP_SAMPLES: Final = 0.25  # of the loop's angle, in one period of the recording
+LOOP_RAD_S: Final = 60.0
+"""Natural frequency of the drive's loop; more for motions that are faster, such as chirps."""
+_LOOP_SAMPLES: Final = 0.25  # the most of the loop's angle in one period of the recording
 _DAMPING: Final = 0.7
-_TICK_S: Final = 2e-3  # the shortest period of the drive; faster recordings are averaged
+_TICK_RAD: Final = 0.12  # of the loop's angle in one period of the drive
 _STEPS: Final = 10
 _INCREMENTS: Final = 1 << 31
 _SUPPLY_V: Final = 1e6
@@ -64,11 +65,19 @@ class Motion:
         return self.tick_ns / 1e9
 
 
-def motion_of(samples: Samples, inertia: float) -> Motion:
-    """Return the motion at the drive's ticks: averaged if it is faster, interpolated if slower."""
+def motion_of(samples: Samples, inertia: float, loop_rad_s: float = LOOP_RAD_S) -> Motion:
+    """Return the motion at the drive's ticks: averaged if it is faster, interpolated if slower.
+
+    Args:
+        samples: the recording.
+        inertia: the inertia that efforts are divided by, at the output [kg m^2 or kg].
+        loop_rad_s: natural frequency of the loop; lower if the samples need that.
+    """
     position, effort, period = samples.position, samples.effort / inertia, samples.period_s
-    together = round(_TICK_S / period)
-    apart = 1 if period < 1.5 * _TICK_S else 2
+    loop_rad_s = min(loop_rad_s, _LOOP_SAMPLES / samples.period_s)
+    shortest_s = _TICK_RAD / loop_rad_s
+    together = round(shortest_s / period)
+    apart = 1 if period < 1.5 * shortest_s else 2
     if together > 1:
         count = len(position) // together
         position, effort = (
@@ -81,7 +90,6 @@ def motion_of(samples: Samples, inertia: float) -> Motion:
         times = np.arange(len(position)) * period
         ticks = np.arange(apart * (len(times) - 1) + 1) * (period / apart)
         position, effort = (_spline(times, one)(ticks) for one in (position, effort))
-    loop_rad_s = min(_LOOP_RAD_S, _LOOP_SAMPLES / samples.period_s)
     return Motion(tick_ns, loop_rad_s, position, effort, inertia)
 
 

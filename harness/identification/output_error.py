@@ -20,7 +20,13 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from motorhil.harness.identification.follower import Motion, motion_of, plant_of, pull_of
+from motorhil.harness.identification.follower import (
+    LOOP_RAD_S,
+    Motion,
+    motion_of,
+    plant_of,
+    pull_of,
+)
 from motorhil.harness.identification.inverse_model import (
     DELAY,
     NAMES,
@@ -49,12 +55,13 @@ _ROUNDS: Final = 2
 _RUNS: Final = 6  # of the drive in each round, beside those for derivatives
 
 
-def refined(samples: Samples, start: Fit) -> Fit:
+def refined(samples: Samples, start: Fit, loop_rad_s: float = LOOP_RAD_S) -> Fit:
     """Return the model that lets the emulated drive follow the samples with the least pull.
 
     Args:
         samples: the recording.
         start: its inverse dynamic model.
+        loop_rad_s: natural frequency of the drive's loop.
 
     Raises:
         RigError: the samples do not show the inertia, without which no plant can be emulated.
@@ -67,11 +74,11 @@ def refined(samples: Samples, start: Fit) -> Fit:
             f"the recording does not show the inertia: {why}",
             inertia.remedy or "check the sign of torque and position",
         )
-    values, deviations = _Search(samples, start).found()
+    values, deviations = _Search(samples, start, loop_rad_s).found()
     delay_s = float(values[-1])
     found = fit_of(values[:-1], deviations[:-1], terms_of(samples, delay_s))
     found.parameters[DELAY] = _delay(delay_s, float(deviations[-1]), samples.period_s)
-    return found
+    return replace(found, error=compared(samples, found, loop_rad_s).error())
 
 
 def _delay(value: float, deviation: float, period_s: float) -> Parameter:
@@ -95,14 +102,19 @@ class Comparison:
     recorded: "NDArray[float64]"
     emulated: "NDArray[float64]"
 
+    def error(self) -> float:
+        """Return the share of the recorded effort that the emulated plant does not explain."""
+        rest = self.recorded - self.emulated
+        return float(np.linalg.norm(rest) / np.linalg.norm(self.recorded))
 
-def compared(samples: Samples, fit: Fit) -> Comparison:
+
+def compared(samples: Samples, fit: Fit, loop_rad_s: float = LOOP_RAD_S) -> Comparison:
     """Return the efforts of the recording, and those of an emulated plant that moves alike."""
     values = {name: max(one.value, 0.0) for name, one in fit.parameters.items()}
     values["offset"] = fit.parameters["offset"].value
     delay = fit.parameters.get(DELAY)
     delay_s = 0.0 if delay is None else delay.value
-    motion = motion_of(samples, values["inertia"])
+    motion = motion_of(samples, values["inertia"], loop_rad_s)
     times = np.arange(len(motion.position)) * motion.tick_s
     effort = np.interp(times + delay_s, times, motion.effort)
     pull = pull_of(motion, plant_of(motion, values), delay_s)
@@ -115,9 +127,9 @@ def compared(samples: Samples, fit: Fit) -> Comparison:
 class _Search:
     """The search for the parameters of one recording, in units of their own size."""
 
-    def __init__(self, samples: Samples, start: Fit) -> None:
+    def __init__(self, samples: Samples, start: Fit, loop_rad_s: float) -> None:
         first = [start.parameters[name].value for name in NAMES]
-        self._motion = motion_of(samples, first[0])
+        self._motion = motion_of(samples, first[0], loop_rad_s)
         velocity = _smoothed_velocity(self._motion)
         effort = float(np.std(samples.effort))
         least = _LEAST * effort / np.array([np.inf, np.std(velocity), 1.0, 1.0])

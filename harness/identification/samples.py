@@ -64,6 +64,11 @@ class Samples:
         """Duration of the samples [s]."""
         return (len(self) - 1) * self.period_s
 
+    def part(self, begin: float, end: float) -> "Samples":
+        """Return a part, from one share of the duration to another, 0 to 1."""
+        kept = slice(round(begin * len(self)), round(end * len(self)))
+        return replace(self, position=self.position[kept], effort=self.effort[kept])
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

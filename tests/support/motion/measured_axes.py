@@ -19,3 +19,13 @@ def emps(shared, name):
     }
     force = data["gtau"] * data["vir"]
     return Samples("emps", "m", float(data["t"][1] - data["t"][0]), data["qm"], force, name)
+
+
+def ak80(shared):
+    """Return the samples of a T-Motor AK80's chirp of current, on even times."""
+    file = shared / "data" / "traffic" / "tmotor_ak80_current_chirp.csv"
+    told = np.genfromtxt(file, delimiter=",", names=True)
+    times = told["pi_time"]
+    even = np.arange(times[0], times[-1], 1e-3)
+    position, torque = (np.interp(even, times, told[name]) for name in ("angle", "torque"))
+    return Samples("ak80", "rad", 1e-3, position, torque, file.name)
