@@ -11,7 +11,6 @@ from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table, real
 from motorhil.harness.identification.follower import LOOP_RAD_S
 from motorhil.harness.identification.inverse_model import (
-    DELAY,
     Fit,
     Parameter,
     effort_error,
@@ -234,8 +233,7 @@ def _write(path: Path, text: str) -> None:
 
 def _sides(fit: Fit, samples: Samples) -> dict[str, Parameter]:
     """Return the frictions of each direction, if they explain the effort better; else none."""
-    delay = fit.parameters.get(DELAY)
-    sides, error = friction_by_direction(samples, 0.0 if delay is None else delay.value)
+    sides, error = friction_by_direction(samples, fit.delay_s, fit.names)
     return sides if error < _BETTER * effort_error(fit, samples) else {}
 
 

@@ -12,6 +12,7 @@ amplifier suit every plant. The amplifier is nearly ideal: it adds no inertia an
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import atan2, hypot
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
@@ -19,6 +20,8 @@ import numpy as np
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
+from motorhil.harness.identification.inverse_model import GRAVITY
 from motorhil.harness.identification.samples import Samples
 
 if TYPE_CHECKING:
@@ -98,7 +101,7 @@ def plant_of(motion: Motion, values: Mapping[str, float]) -> MotorPlant:
 
     Args:
         motion: the motion that it is to follow.
-        values: inertia, viscous, coulomb and offset at the output.
+        values: parameters of the inverse model at the output.
     """
     step_s = motion.tick_s / _STEPS
     resistance = step_s / _BRAKED
@@ -113,6 +116,17 @@ def plant_of(motion: Motion, values: Mapping[str, float]) -> MotorPlant:
         coulomb_friction_n_m=values["coulomb"] / motion.inertia,
         viscous_friction_n_m_s_rad=values["viscous"] / motion.inertia,
         load_torque_n_m=values["offset"] / motion.inertia,
+        extras=pendulum_of(values, motion.inertia),
+    )
+
+
+def pendulum_of(values: Mapping[str, float], divisor: float = 1.0) -> PlantExtras:
+    """Return the gravity of a plant with these parameters, divided; none: no effects at all."""
+    sine, cosine = (values.get(name, 0.0) for name in GRAVITY)
+    if not sine and not cosine:
+        return NO_EXTRAS
+    return PlantExtras(
+        gravity_torque_n_m=hypot(sine, cosine) / divisor, gravity_zero_rad=atan2(-cosine, sine)
     )
 
 

@@ -29,7 +29,6 @@ from motorhil.harness.identification.follower import (
 )
 from motorhil.harness.identification.inverse_model import (
     DELAY,
-    NAMES,
     Fit,
     Parameter,
     fit_of,
@@ -48,8 +47,9 @@ _REST: Final = 0.01  # of the highest speed: below it the axis rests, and shows 
 _DELAY_SAMPLES: Final = 20.0
 _STEP: Final = 0.02  # of each parameter, for derivatives
 _LEAST: Final = 0.02  # of the effort: the scale of a parameter that starts near zero
+_SIZES: Final = ("viscous", "coulomb")  # never below zero
 _WINDOW: Final = 3  # residuals over which their correlation is counted
-_BIAS: Final = np.array([5e-4, 1e-3, 1e-3, 0.0, 0.0])
+_BIAS: Final = {"inertia": 5e-4, "viscous": 1e-3, "coulomb": 1e-3}
 """Share of each value by which samples and ticks bias it, as measured without any noise."""
 _ROUNDS: Final = 2
 _RUNS: Final = 6  # of the drive in each round, beside those for derivatives
@@ -76,7 +76,7 @@ def refined(samples: Samples, start: Fit, loop_rad_s: float = LOOP_RAD_S) -> Fit
         )
     values, deviations = _Search(samples, start, loop_rad_s).found()
     delay_s = float(values[-1])
-    found = fit_of(values[:-1], deviations[:-1], terms_of(samples, delay_s))
+    found = fit_of(values[:-1], deviations[:-1], terms_of(samples, delay_s, start.names))
     found.parameters[DELAY] = _delay(delay_s, float(deviations[-1]), samples.period_s)
     return replace(found, error=compared(samples, found, loop_rad_s).error())
 
@@ -110,10 +110,11 @@ class Comparison:
 
 def compared(samples: Samples, fit: Fit, loop_rad_s: float = LOOP_RAD_S) -> Comparison:
     """Return the efforts of the recording, and those of an emulated plant that moves alike."""
-    values = {name: max(one.value, 0.0) for name, one in fit.parameters.items()}
-    values["offset"] = fit.parameters["offset"].value
-    delay = fit.parameters.get(DELAY)
-    delay_s = 0.0 if delay is None else delay.value
+    values = {
+        name: max(value, 0.0) if name in _SIZES else value
+        for name, value in zip(fit.names, fit.values, strict=True)
+    }
+    delay_s = fit.delay_s
     motion = motion_of(samples, values["inertia"], loop_rad_s)
     times = np.arange(len(motion.position)) * motion.tick_s
     effort = np.interp(times + delay_s, times, motion.effort)
@@ -128,11 +129,13 @@ class _Search:
     """The search for the parameters of one recording, in units of their own size."""
 
     def __init__(self, samples: Samples, start: Fit, loop_rad_s: float) -> None:
-        first = [start.parameters[name].value for name in NAMES]
+        self._names = start.names
+        first = start.values
         self._motion = motion_of(samples, first[0], loop_rad_s)
         velocity = _smoothed_velocity(self._motion)
-        effort = float(np.std(samples.effort))
-        least = _LEAST * effort / np.array([np.inf, np.std(velocity), 1.0, 1.0])
+        least = np.full(len(first), _LEAST * float(np.std(samples.effort)))
+        least[0] = 0.0
+        least[1] /= float(np.std(velocity))
         self._scale = np.append(np.maximum(np.abs(first), least), samples.period_s)
         self._start = np.append(first, 0.0) / self._scale
         self._smooth = replace(self._motion, effort=_predicted(self._motion, velocity, first))
@@ -140,11 +143,12 @@ class _Search:
         self._moves: NDArray[bool_] = speed > _REST * float(speed.max())
 
     def found(self) -> "tuple[NDArray[float64], NDArray[float64]]":
-        """Return values and deviations of NAMES and the delay."""
+        """Return values and deviations of the parameters and the delay."""
         from scipy import optimize
 
-        low = np.array([1e-3, 0.0, 0.0, -np.inf, -_DELAY_SAMPLES])
-        high = np.array([np.inf, np.inf, np.inf, np.inf, _DELAY_SAMPLES])
+        low = np.array([0.0 if name in _SIZES else -np.inf for name in (*self._names, DELAY)])
+        high = np.full(len(low), np.inf)
+        low[0], low[-1], high[-1] = 1e-3, -_DELAY_SAMPLES, _DELAY_SAMPLES
         place = np.clip(self._start, low, high)
         for _ in range(_ROUNDS):
             slopes = self._slopes(place)
@@ -159,16 +163,17 @@ class _Search:
             )
             place = result.x
         covariance = _covariance(slopes, result.fun, self._moves)
-        variances = np.diag(covariance) + (_BIAS * place) ** 2
+        bias = np.array([_BIAS.get(name, 0.0) for name in (*self._names, DELAY)])
+        variances = np.diag(covariance) + (bias * place) ** 2
         return place * self._scale, np.sqrt(variances) * self._scale
 
     def _residuals(self, place: "NDArray[float64]", motion: Motion) -> "NDArray[float64]":
         values = place * self._scale
-        plant = plant_of(motion, dict(zip(NAMES, values[:-1].tolist(), strict=True)))
+        plant = plant_of(motion, dict(zip(self._names, values[:-1].tolist(), strict=True)))
         return _reduced(motion, pull_of(motion, plant, float(values[-1]))) * self._moves
 
     def _slopes(self, place: "NDArray[float64]") -> "NDArray[float64]":
-        """Return the derivatives, shape (n, 5), in a run on smooth efforts."""
+        """Return the derivatives, shape (n, p), in a run on smooth efforts."""
         base = self._residuals(place, self._smooth)
         columns: Sequence[NDArray[float64]] = [
             (self._residuals(place + _STEP * unit, self._smooth) - base) / _STEP
@@ -222,9 +227,11 @@ def _predicted(
     motion: Motion, velocity: "NDArray[float64]", first: Sequence[float]
 ) -> "NDArray[float64]":
     """Return the effort that the inverse model expects, divided as in `motion`."""
-    inertia, viscous, coulomb, offset = first
+    inertia, viscous, coulomb, offset, *gravity = first
     slow = _REST * float(np.max(np.abs(velocity)))
     effort = inertia * np.gradient(velocity, motion.tick_s) + viscous * velocity + offset
+    for factor, wave in zip(gravity, (np.sin, np.cos), strict=False):  # none, or both
+        effort = effort + factor * wave(motion.position)
     out: NDArray[float64] = (effort + coulomb * np.clip(velocity / slow, -1.0, 1.0)) / (
         motion.inertia
     )

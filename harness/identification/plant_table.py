@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
+from motorhil.harness.identification.follower import pendulum_of
 from motorhil.harness.identification.inverse_model import Fit
 from motorhil.harness.identification.resonance import Resonance
 from motorhil.harness.identification.samples import Samples
@@ -18,6 +19,7 @@ _UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "viscous": {"rad": "N·m·s/rad", "m": "N·s/m"},
     "coulomb": {"rad": "N·m", "m": "N"},
     "offset": {"rad": "N·m", "m": "N"},
+    "gravity": {"rad": "N·m", "m": "N"},
     "delay": {"rad": "s", "m": "s"},
 }
 
@@ -52,6 +54,10 @@ def plant_keys(fit: Fit, unit: str, gear: float, resonance: Resonance = _RIGID) 
         keys["coulomb_friction_n_m"] = max(0.0, values["coulomb"] / gear)
     if "offset" in values:
         keys["load_torque_n_m"] = values["offset"]
+    pendulum = pendulum_of(values)
+    if pendulum.gravity_torque_n_m:
+        keys["gravity_torque_n_m"] = pendulum.gravity_torque_n_m
+        keys["gravity_zero_rad"] = pendulum.gravity_zero_rad
     return keys
 
 
