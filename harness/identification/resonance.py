@@ -56,7 +56,7 @@ class Resonance:
 
     @property
     def is_seen(self) -> bool:
-        """Whether there is a resonance."""
+        """True if there is a resonance."""
         return self.resonance_hz > 0.0
 
     def load_share(self) -> float:
