@@ -56,6 +56,18 @@ def test_the_recording_of_the_application_identifies_the_axis(wheels, capsys):
     assert values["coulomb"]["value"] == pytest.approx(COULOMB, rel=0.02)
     viscous = values["viscous"]
     assert abs(viscous["value"] - VISCOUS) < 2.0 * viscous["deviation"]
+    assert_a_log_of_the_bus_shows_the_same(values["inertia"]["value"], capsys)
+
+
+def assert_a_log_of_the_bus_shows_the_same(inertia, capsys):
+    """A log of another tool has no rig and no units; --rig gives both."""
+    assert main(["convert", "wheels/left.mcap", "-o", "left.log"]) == 0
+    words = ["identify", "left.log", "--motor", "left", "--gear", "66", "--inverse", "--json"]
+    assert main(words) == 2
+    capsys.readouterr()
+    assert main([*words, "--rig", "wheels/rig.toml"]) == 0
+    found = json.loads(capsys.readouterr().out)["parameters"]
+    assert found["inertia"]["value"] == pytest.approx(inertia, rel=0.02)
 
 
 @pytest.mark.parametrize(
