@@ -19,9 +19,21 @@ from motorhil.harness.identification.inverse_model import (
 )
 from motorhil.harness.identification.output_error import compared, refined
 from motorhil.harness.identification.picture import page_of
-from motorhil.harness.identification.plant_table import BACKLASH, plant_keys, table_of, unit_of
+from motorhil.harness.identification.plant_table import (
+    BACKLASH,
+    constant_told,
+    plant_keys,
+    table_of,
+    unit_of,
+)
 from motorhil.harness.identification.resonance import Resonance, resonance_in
-from motorhil.harness.identification.samples import Reading, Samples, samples_in
+from motorhil.harness.identification.samples import (
+    Reading,
+    Samples,
+    Told,
+    samples_in,
+    torque_constant_in,
+)
 from motorhil.harness.rig.config.toml import RigError
 
 _POOR: Final = 0.3
@@ -105,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
     if options.picture is not None:
         _write(options.picture, found.page(options.loop))
     if options.output is not None:
-        text = table_of(found.fit, found.samples, options.gear, found.resonance)
+        text = table_of(found.fit, found.samples, options.gear, found.resonance, found.constant)
         _write(options.output, text)
     if options.json:
         print(json.dumps(found.as_json(options.gear), indent=1))
@@ -132,6 +144,7 @@ class _Found:
         fit: the model.
         sides: frictions of each direction, if they explain the effort better.
         resonance: of an elastic coupling.
+        constant: the torque constant; None: the drive has not told it.
         judged: the recording that judges the fit.
         checked: the effort that the fit does not explain there; None: it is the same recording.
     """
@@ -140,6 +153,7 @@ class _Found:
     fit: Fit
     sides: dict[str, Parameter]
     resonance: Resonance
+    constant: Told | None
     judged: Samples
     checked: float | None
 
@@ -164,7 +178,8 @@ class _Found:
         rate = 1.0 / samples.period_s
         print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
         print_table(_HEAD, self.rows(), words=(0, 2, 4))
-        print(f"{self.resonance.told()}\n{BACKLASH}\n{self.verdict()}")
+        known = (constant_told(self.constant), self.resonance.told(), BACKLASH, self.verdict())
+        print("\n".join(known))
 
     def page(self, loop: float) -> str:
         """Return the page with the picture (HTML), for this loop of the drive [rad/s]."""
@@ -193,9 +208,10 @@ class _Found:
                 }
                 for one in self.parameters()
             },
+            "torque_constant": None if self.constant is None else self.constant._asdict(),
             "resonance": asdict(resonance) if resonance.is_seen else None,
             "no_resonance_below_hz": None if resonance.is_seen else resonance.seen_hz,
-            "plant": plant_keys(fit, samples.unit, gear, resonance),
+            "plant": plant_keys(fit, samples.unit, gear, resonance, self.constant),
             "effort_error": fit.error,
             "effort_error_of_check": self.checked,
             "condition": fit.condition,
@@ -216,7 +232,8 @@ def _found(options: argparse.Namespace) -> _Found:
             else compared(judged, fit, options.loop).error()
         )
     resonance = resonance_in(samples, fit.parameters["inertia"].value)
-    return _Found(samples, fit, _sides(fit, samples), resonance, judged, checked)
+    constant = torque_constant_in(options.file, samples.name, options.rig)
+    return _Found(samples, fit, _sides(fit, samples), resonance, constant, judged, checked)
 
 
 def _samples(options: argparse.Namespace, file: Path, motor: str | None) -> Samples:

@@ -127,6 +127,7 @@ motorhil identify {name}.mcap --rig {rig} --motor {name} --gear N
 Free the axis first: it moves there and back by the distances below.
 """
 
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -151,6 +152,7 @@ def main() -> None:
     with can.Bus() as bus, closing(Cia402HwMotor(bus, node_id={node}, options=OPTIONS)) as drive:
         motor = Cia402Motor(drive, MODEL, name="{name}")
         motor.torque()  # the drive tells its rated torque, and the recording knows it
+        drive.objects.read_optional(0x6075)  # its rated current
         motor.enable()
         if MIDDLE is not None:
             motor.set_control_mode(ControlMode.SETPOINT)
@@ -163,6 +165,8 @@ def main() -> None:
             for way in (distance, -distance):
                 motor.set_trajectory(TrapezoidalTrajectory(way, limits=limits))
                 motor.start()
+                time.sleep(0.05)  # within the ramp: current beside torque is the torque constant
+                drive.objects.read_optional(0x6078)
                 motor.wait_until_done(timeout_s=60.0)
         motor.disable()
 

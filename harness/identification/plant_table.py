@@ -6,7 +6,7 @@ from typing import Final
 from motorhil.harness.identification.follower import pendulum_of
 from motorhil.harness.identification.inverse_model import Fit
 from motorhil.harness.identification.resonance import Resonance
-from motorhil.harness.identification.samples import Samples
+from motorhil.harness.identification.samples import Samples, Told
 
 BACKLASH: Final = (
     "backlash: not seen: positions of the motor alone do not show it;"
@@ -29,7 +29,13 @@ def unit_of(name: str, unit: str) -> str:
     return _UNITS[name.partition(" ")[0]][unit]
 
 
-def plant_keys(fit: Fit, unit: str, gear: float, resonance: Resonance = _RIGID) -> dict[str, float]:
+def plant_keys(
+    fit: Fit,
+    unit: str,
+    gear: float,
+    resonance: Resonance = _RIGID,
+    constant: Told | None = None,
+) -> dict[str, float]:
     """Return the plant's keys and values for a turning axis; parameters that are not seen lack.
 
     Args:
@@ -37,6 +43,7 @@ def plant_keys(fit: Fit, unit: str, gear: float, resonance: Resonance = _RIGID) 
         unit: "rad" or "m"; plants of linear axes are turning ones in a rig, so they have no keys.
         gear: motor turns per turn of the output; inertia and friction are told on its motor's side.
         resonance: that of the axis, which divides the inertia between rotor and load.
+        constant: the torque constant; None: the drive has not told it.
     """
     if unit != "rad":
         return {}
@@ -54,6 +61,8 @@ def plant_keys(fit: Fit, unit: str, gear: float, resonance: Resonance = _RIGID) 
         keys["coulomb_friction_n_m"] = max(0.0, values["coulomb"] / gear)
     if "offset" in values:
         keys["load_torque_n_m"] = values["offset"]
+    if constant is not None:
+        keys["torque_constant_n_m_a"] = constant.value
     pendulum = pendulum_of(values)
     if pendulum.gravity_torque_n_m:
         keys["gravity_torque_n_m"] = pendulum.gravity_torque_n_m
@@ -61,7 +70,21 @@ def plant_keys(fit: Fit, unit: str, gear: float, resonance: Resonance = _RIGID) 
     return keys
 
 
-def table_of(fit: Fit, samples: Samples, gear: float, resonance: Resonance = _RIGID) -> str:
+def constant_told(constant: Told | None) -> str:
+    """Return what is known of the torque constant, or which objects would tell it, as a text."""
+    if constant is None:
+        return "torque constant: not seen: no pairs of torque and current; read 6075h and 6078h"
+    share = constant.deviation / abs(constant.value)
+    return f"torque constant: {constant.value:.4g} N·m/A, deviation {share:.1%}"
+
+
+def table_of(
+    fit: Fit,
+    samples: Samples,
+    gear: float,
+    resonance: Resonance = _RIGID,
+    constant: Told | None = None,
+) -> str:
     """Return the model as TOML: the keys of a plant, with what is known about each."""
     lines = [
         f"# {samples.name}: {samples.duration_s:.1f} s at {1.0 / samples.period_s:.0f} Hz",
@@ -71,8 +94,9 @@ def table_of(fit: Fit, samples: Samples, gear: float, resonance: Resonance = _RI
         unit = unit_of(one.name, samples.unit)
         told = f"# {one.name} at the output: {one.value:.5g} {unit}, deviation {one.relative:.1%}"
         lines.append(f"{told}; not seen: {one.unseen}; {one.remedy}" if one.unseen else told)
-    lines += [f"# {resonance.told()}", f"# {BACKLASH}", "[plant]"]
+    lines += [f"# {one}" for one in (constant_told(constant), resonance.told(), BACKLASH)]
+    lines.append("[plant]")
     lines.append(f"gear_ratio = {gear!r}")
-    keys = plant_keys(fit, samples.unit, gear, resonance)
+    keys = plant_keys(fit, samples.unit, gear, resonance, constant)
     lines += [f"{key} = {value:.6g}" for key, value in keys.items()]
     return "\n".join(lines) + "\n"

@@ -6,13 +6,14 @@ drive's true state, unless this is asked for.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.report.collect import collect
 from motorhil.harness.report.motors import Line, Motor, motors_of
+from motorhil.harness.report.series import Track
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.recording import files_of
 from motorhil.harness.rig.rig import describe
@@ -31,7 +32,14 @@ _RATED: Final = "‰ of rated"
 _PARTS: Final = 1000.0
 _POSITIONS: Final = ("rad", "m")
 _TRUTH: Final = "truth"
+_RATED_CURRENT: Final = 0x6075
 _RATED_TORQUE: Final = 0x6076
+_TORQUE: Final = 0x6077
+_CURRENT: Final = 0x6078
+_LEAST_CURRENT: Final = 30.0  # thousandths of the rated one: below it, rounding is too much
+_PAIRS: Final = 8
+_NORMAL: Final = 1.4826  # standard deviation by median absolute deviation, of a normal law
+_OF_MEDIAN: Final = 1.2533  # deviation of a median by that of a mean
 _MILLI: Final = 1e-3  # 6076h counts in mN m
 
 
@@ -68,6 +76,14 @@ class Samples:
         """Return a part, from one share of the duration to another, 0 to 1."""
         kept = slice(round(begin * len(self)), round(end * len(self)))
         return replace(self, position=self.position[kept], effort=self.effort[kept])
+
+
+@final
+class Told(NamedTuple):
+    """A value that a drive tells, with its standard deviation [N m/A]."""
+
+    value: float
+    deviation: float
 
 
 @final
@@ -141,9 +157,38 @@ def _attachments(rig: Path | None) -> list[Attachment]:
 def _rated(motor: Motor, gear: float) -> float | None:
     """Return the rated torque at the output [N m] by 6076h; None: the drive has not told it."""
     track = None if motor.told is None else motor.told.tracks.get(_RATED_TORQUE)
-    if track is None or not track.last:
+    return _last(track) * _MILLI * gear or None
+
+
+def torque_constant_in(file: Path, motor: str, rig: Path | None = None) -> Told | None:
+    """Return the torque constant that a drive tells, in pairs of 6077h and 6078h.
+
+    Torque counts in thousandths of 6076h, current in those of 6075h. The pairs are of nearly the
+    same time, so that the median counts.
+
+    Returns:
+        The constant; None: the drive tells too few pairs with enough current.
+    """
+    told = _chosen(file, motors_in(file, rig), motor).told
+    tracks = {} if told is None else told.tracks
+    torque, current = tracks.get(_TORQUE), tracks.get(_CURRENT)
+    unit = _last(tracks.get(_RATED_TORQUE)) / (_last(tracks.get(_RATED_CURRENT)) or np.inf)
+    if torque is None or current is None or not unit:
         return None
-    return track.last * _MILLI * gear
+    times, amperes = current.sorted()
+    own, torques = torque.sorted()
+    kept = (times >= own[0]) & (np.abs(amperes) >= _LEAST_CURRENT)
+    if int(kept.sum()) < _PAIRS:
+        return None
+    ratios = torques[np.searchsorted(own, times[kept], "right") - 1] / amperes[kept]
+    middle = float(np.median(ratios))
+    spread = _NORMAL * float(np.median(np.abs(ratios - middle)))
+    spread = max(spread, 0.5 / float(np.median(np.abs(amperes[kept]))))  # thousandths are whole
+    return Told(middle * unit, _OF_MEDIAN * spread * unit / float(np.sqrt(len(ratios))))
+
+
+def _last(track: Track | None) -> float:
+    return 0.0 if track is None else track.last or 0.0
 
 
 def _chosen(file: Path, motors: list[Motor], name: str | None) -> Motor:

@@ -56,6 +56,10 @@ def test_the_recording_of_the_application_identifies_the_axis(wheels, capsys):
     assert values["coulomb"]["value"] == pytest.approx(COULOMB, rel=0.02)
     viscous = values["viscous"]
     assert abs(viscous["value"] - VISCOUS) < 2.0 * viscous["deviation"]
+    constant = found["torque_constant"]
+    assert constant["value"] == pytest.approx(0.0259, rel=0.02)  # of the rig file
+    assert abs(constant["value"] - 0.0259) < 3.0 * constant["deviation"]
+    assert found["plant"]["torque_constant_n_m_a"] == constant["value"]
     assert_a_log_of_the_bus_shows_the_same(values["inertia"]["value"], capsys)
 
 
