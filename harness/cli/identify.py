@@ -30,9 +30,7 @@ from motorhil.harness.identification.resonance import Resonance, resonance_in
 from motorhil.harness.identification.samples import (
     Reading,
     Samples,
-    Told,
     samples_in,
-    torque_constant_in,
 )
 from motorhil.harness.rig.config.toml import RigError
 
@@ -117,7 +115,7 @@ def run(options: argparse.Namespace) -> int:
     if options.picture is not None:
         _write(options.picture, found.page(options.loop))
     if options.output is not None:
-        text = table_of(found.fit, found.samples, options.gear, found.resonance, found.constant)
+        text = table_of(found.fit, found.samples, options.gear, found.resonance)
         _write(options.output, text)
     if options.json:
         print(json.dumps(found.as_json(options.gear), indent=1))
@@ -144,7 +142,6 @@ class _Found:
         fit: the model.
         sides: frictions of each direction, if they explain the effort better.
         resonance: of an elastic coupling.
-        constant: the torque constant; None: the drive has not told it.
         judged: the recording that judges the fit.
         checked: the effort that the fit does not explain there; None: it is the same recording.
     """
@@ -153,7 +150,6 @@ class _Found:
     fit: Fit
     sides: dict[str, Parameter]
     resonance: Resonance
-    constant: Told | None
     judged: Samples
     checked: float | None
 
@@ -178,7 +174,12 @@ class _Found:
         rate = 1.0 / samples.period_s
         print(f"{samples.name}: {samples.duration_s:.1f} s at {rate:.0f} Hz, from {samples.source}")
         print_table(_HEAD, self.rows(), words=(0, 2, 4))
-        known = (constant_told(self.constant), self.resonance.told(), BACKLASH, self.verdict())
+        known = (
+            constant_told(self.samples.constant),
+            self.resonance.told(),
+            BACKLASH,
+            self.verdict(),
+        )
         print("\n".join(known))
 
     def page(self, loop: float) -> str:
@@ -192,6 +193,7 @@ class _Found:
     def as_json(self, gear: float) -> dict[str, object]:
         """Return the same for a machine."""
         samples, fit, resonance = self.samples, self.fit, self.resonance
+        constant = samples.constant
         return {
             "motor": samples.name,
             "unit": samples.unit,
@@ -208,10 +210,10 @@ class _Found:
                 }
                 for one in self.parameters()
             },
-            "torque_constant": None if self.constant is None else self.constant._asdict(),
+            "torque_constant": None if constant is None else constant._asdict(),
             "resonance": asdict(resonance) if resonance.is_seen else None,
             "no_resonance_below_hz": None if resonance.is_seen else resonance.seen_hz,
-            "plant": plant_keys(fit, samples.unit, gear, resonance, self.constant),
+            "plant": plant_keys(fit, samples.unit, gear, resonance, constant),
             "effort_error": fit.error,
             "effort_error_of_check": self.checked,
             "condition": fit.condition,
@@ -232,8 +234,7 @@ def _found(options: argparse.Namespace) -> _Found:
             else compared(judged, fit, options.loop).error()
         )
     resonance = resonance_in(samples, fit.parameters["inertia"].value)
-    constant = torque_constant_in(options.file, samples.name, options.rig)
-    return _Found(samples, fit, _sides(fit, samples), resonance, constant, judged, checked)
+    return _Found(samples, fit, _sides(fit, samples), resonance, judged, checked)
 
 
 def _samples(options: argparse.Namespace, file: Path, motor: str | None) -> Samples:

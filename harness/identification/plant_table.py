@@ -78,13 +78,7 @@ def constant_told(constant: Told | None) -> str:
     return f"torque constant: {constant.value:.4g} N·m/A, deviation {share:.1%}"
 
 
-def table_of(
-    fit: Fit,
-    samples: Samples,
-    gear: float,
-    resonance: Resonance = _RIGID,
-    constant: Told | None = None,
-) -> str:
+def table_of(fit: Fit, samples: Samples, gear: float, resonance: Resonance = _RIGID) -> str:
     """Return the model as TOML: the keys of a plant, with what is known about each."""
     lines = [
         f"# {samples.name}: {samples.duration_s:.1f} s at {1.0 / samples.period_s:.0f} Hz",
@@ -94,9 +88,9 @@ def table_of(
         unit = unit_of(one.name, samples.unit)
         told = f"# {one.name} at the output: {one.value:.5g} {unit}, deviation {one.relative:.1%}"
         lines.append(f"{told}; not seen: {one.unseen}; {one.remedy}" if one.unseen else told)
-    lines += [f"# {one}" for one in (constant_told(constant), resonance.told(), BACKLASH)]
+    lines += [f"# {one}" for one in (constant_told(samples.constant), resonance.told(), BACKLASH)]
     lines.append("[plant]")
     lines.append(f"gear_ratio = {gear!r}")
-    keys = plant_keys(fit, samples.unit, gear, resonance, constant)
+    keys = plant_keys(fit, samples.unit, gear, resonance, samples.constant)
     lines += [f"{key} = {value:.6g}" for key, value in keys.items()]
     return "\n".join(lines) + "\n"

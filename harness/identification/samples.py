@@ -44,6 +44,14 @@ _MILLI: Final = 1e-3  # 6076h counts in mN m
 
 
 @final
+class Told(NamedTuple):
+    """A value that a drive tells, with its standard deviation [N m/A]."""
+
+    value: float
+    deviation: float
+
+
+@final
 @dataclass(frozen=True, slots=True)
 class Samples:
     """Evenly spaced samples of one motor.
@@ -55,6 +63,7 @@ class Samples:
         position: at the output, shape (n,) [rad or m].
         effort: torque or force at the output, shape (n,) [N m or N].
         source: where they come from, as a text.
+        constant: the torque constant that the drive tells; None: it does not.
     """
 
     name: str
@@ -63,6 +72,7 @@ class Samples:
     position: "NDArray[float64]"
     effort: "NDArray[float64]"
     source: str
+    constant: Told | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -76,14 +86,6 @@ class Samples:
         """Return a part, from one share of the duration to another, 0 to 1."""
         kept = slice(round(begin * len(self)), round(end * len(self)))
         return replace(self, position=self.position[kept], effort=self.effort[kept])
-
-
-@final
-class Told(NamedTuple):
-    """A value that a drive tells, with its standard deviation [N m/A]."""
-
-    value: float
-    deviation: float
 
 
 @final
@@ -124,7 +126,8 @@ def samples_in(file: Path, motor: str | None = None, how: Reading | None = None)
         raise RigError(file, f"holds no position of {chosen.name} in SI units", remedy)
     found = None if how.rated is not None else _line(chosen, "torque", _EFFORTS, how.truth)
     if found is not None:
-        return _even(file, chosen.name, position[1], position[0], found[0])
+        even = _even(file, chosen.name, position[1], position[0], found[0])
+        return replace(even, constant=_constant(chosen))
     told = _line(chosen, "torque", (_RATED,), how.truth)
     rated = how.rated if how.rated is not None else _rated(chosen, how.gear)
     if told is None or rated is None:
@@ -132,7 +135,7 @@ def samples_in(file: Path, motor: str | None = None, how: Reading | None = None)
         problem = f"holds no torque or force of {chosen.name} in SI units"
         raise RigError(file, problem, remedy)
     parts = _even(file, chosen.name, position[1], position[0], told[0])
-    return replace(parts, effort=parts.effort * (rated / _PARTS))
+    return replace(parts, effort=parts.effort * (rated / _PARTS), constant=_constant(chosen))
 
 
 def motors_in(file: Path, rig: Path | None = None) -> list[Motor]:
@@ -160,7 +163,7 @@ def _rated(motor: Motor, gear: float) -> float | None:
     return _last(track) * _MILLI * gear or None
 
 
-def torque_constant_in(file: Path, motor: str, rig: Path | None = None) -> Told | None:
+def _constant(motor: Motor) -> Told | None:
     """Return the torque constant that a drive tells, in pairs of 6077h and 6078h.
 
     Torque counts in thousandths of 6076h, current in those of 6075h. The pairs are of nearly the
@@ -169,8 +172,7 @@ def torque_constant_in(file: Path, motor: str, rig: Path | None = None) -> Told 
     Returns:
         The constant; None: the drive tells too few pairs with enough current.
     """
-    told = _chosen(file, motors_in(file, rig), motor).told
-    tracks = {} if told is None else told.tracks
+    tracks = {} if motor.told is None else motor.told.tracks
     torque, current = tracks.get(_TORQUE), tracks.get(_CURRENT)
     unit = _last(tracks.get(_RATED_TORQUE)) / (_last(tracks.get(_RATED_CURRENT)) or np.inf)
     if torque is None or current is None or not unit:
