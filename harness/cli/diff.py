@@ -4,10 +4,12 @@ import argparse
 import json
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import Final
 
-from motorhil.harness.cli.main import FAILED, PASSED
-from motorhil.harness.cli.options import add_max_memory, real, whole
+from motorhil.harness.cli.main import FAILED, NOT_JUDGED, PASSED
+from motorhil.harness.cli.options import add_max_memory, print_table, real, whole
 from motorhil.harness.cli.printable import teller
 from motorhil.harness.cli.show import text_of
 from motorhil.harness.recording.conversion import open_recording
@@ -53,6 +55,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="lines of context (default 3)",
     )
+    parser.add_argument(
+        "--motions",
+        action="store_true",
+        help="tell how far apart positions, velocities and torques of each motor are",
+    )
+    parser.add_argument(
+        "--rig",
+        type=Path,
+        metavar="RIG",
+        help="with --motions: a rig that knows the motors' units, if a recording has none",
+    )
     add_max_memory(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -65,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.exact:
         return _exact(options)
+    if options.motions:
+        return _motions(options)
     tell, limit = teller("diff"), options.max_memory
     with (
         open_recording(options.first, tell, memory_max=limit) as first,
@@ -104,6 +119,54 @@ def _exact(options: argparse.Namespace) -> int:
     else:
         print("every message is the same" if mismatch is None else mismatch)
     return PASSED if mismatch is None else FAILED
+
+
+def _motions(options: argparse.Namespace) -> int:
+    """Tell how far apart the motions of each motor in both recordings are."""
+    from motorhil.harness.identification.distance import distances
+    from motorhil.harness.identification.samples import motors_in
+
+    first, second = (motors_in(Path(one), options.rig) for one in (options.first, options.second))
+    others = {motor.name: motor for motor in second}
+    found = [
+        (motor.name, *apart)
+        for motor in first
+        if motor.name in others and (apart := distances(motor, others[motor.name])) is not None
+    ]
+    if options.json:
+        facts = [
+            {
+                "motor": name,
+                "later_s": shift.time_s,
+                "higher": shift.position,
+                "distances": [asdict(one) for one in rows],
+            }
+            for name, shift, rows in found
+        ]
+        print(json.dumps({"motors": facts}))
+        return PASSED if found else NOT_JUDGED
+    if not found:
+        teller("diff")("no motor has positions in the same unit in both recordings")
+        return NOT_JUDGED
+    head = ("motor", "quantity", "unit", "apart (rms)", "of its rms", "at most")
+    rows = [
+        (
+            one.motor,
+            one.quantity,
+            one.unit,
+            f"{one.typical:.3g}",
+            f"{one.share:.1%}",
+            f"{one.largest:.3g}",
+        )
+        for _, _, found_rows in found
+        for one in found_rows
+    ]
+    print_table(head, rows, words=(0, 1, 2))
+    for name, shift, _ in found:
+        print(
+            f"{name}: {options.second} is {shift.time_s:+.3f} s later, {shift.position:+.4g} higher"
+        )
+    return PASSED
 
 
 def _print_difference(traces: tuple[Trace, Trace], difference: Difference, context: int) -> None:

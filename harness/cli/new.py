@@ -1,4 +1,4 @@
-"""The verb `new`: creates a rig, its script and CI jobs, or a package for a new kind of drive."""
+"""The verb `new`: creates a rig, its script and CI jobs, programs, or packages for new drives."""
 
 import argparse
 import json
@@ -14,6 +14,7 @@ from motorhil.harness.rig.config.scaffold import (
     requirement,
     write_new_drive,
     write_new_rig,
+    write_program,
     write_rig,
 )
 from motorhil.harness.rig.config.toml import RigError
@@ -44,6 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write a package for a kind of drive that motorhil does not know, into DIR or "
         "motorhil-NAME: an adaptation and an emulated drive, which work at once",
     )
+    kinds.add_argument(
+        "--excite",
+        metavar="MOTOR",
+        help="write the application that moves this motor of DIR/rig.toml so that `identify` sees "
+        "inertia and friction, within the limits of its model",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -63,6 +70,8 @@ def run(options: argparse.Namespace) -> int:
         return _from_bus(options.source, options.folder or Path(), as_json=options.json)
     if options.drive is not None:
         return _drive(options.folder, options.drive, as_json=options.json)
+    if options.excite is not None:
+        return _excite(options.folder or Path(), options.excite, as_json=options.json)
     if options.folder is None:
         raise RigError(Path(), "no folder is named", "name a new one: motorhil new DIR")
     has_requirements = Path("requirements.txt").exists()
@@ -113,4 +122,20 @@ def _from_bus(source: Path, folder: Path, *, as_json: bool) -> int:
     for note in notes:
         print(f"{source}: {note}", file=sys.stderr)
     print(f"next: motorhil check {rig}, then motorhil serve {rig}", file=sys.stderr)
+    return PASSED
+
+
+def _excite(folder: Path, motor: str, *, as_json: bool) -> int:
+    from motorhil.harness.identification.excitation import application_for, script_of
+    from motorhil.harness.rig.rig import describe, read_models
+
+    rig = folder / "rig.toml"
+    description = describe(rig)
+    text = application_for(description, motor, read_models(description))
+    script = folder / script_of(motor)
+    files = [str(path) for path in write_program(script, text)]
+    recording = folder / f"{motor}.mcap"
+    command = ["motorhil", "run", str(rig), str(script), "-o", str(recording)]
+    print(json.dumps({"files": files, "next": command}) if as_json else "\n".join(files))
+    print(f"next: {shlex.join(command)}", file=sys.stderr)
     return PASSED

@@ -2,6 +2,9 @@
 
     effort = inertia * a + viscous * v + coulomb * sign(v) + offset
 
+A turning axis that travels far enough may have a pendulum's torque as well, with one parameter for
+its sine and one for its cosine.
+
 Position is filtered forwards and backwards, so that nothing is delayed, and differentiated by
 central differences. Both sides are then low-passed and decimated alike: errors of what remains are
 nearly independent, and standard deviations mean something.
@@ -24,6 +27,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NAMES: Final = ("inertia", "viscous", "coulomb", "offset")
+GRAVITY: Final = ("gravity sine", "gravity cosine")
+"""Torques in proportion to the sine and the cosine of the position."""
+DELAY: Final = "delay"
+SIDES: Final = ("viscous forwards", "viscous backwards", "coulomb forwards", "coulomb backwards")
+"""Frictions of a model without offset, one for each direction."""
 _ORDER: Final = 4
 _CUT_SHARE: Final = 0.4  # of the Nyquist frequency: where the position's filter begins
 _BOTH_SHARE: Final = 0.3  # likewise, of the filter of both sides, which must be the lower one
@@ -32,6 +40,8 @@ _EDGE: Final = 50  # samples at each end, which filters spoil
 _SEEN: Final = 0.25
 """Relative standard deviation above which a parameter is not seen."""
 _NOTHING: Final = 0.01  # share of the effort of a parameter that is known to be next to nothing
+_TRAVEL_RAD: Final = 0.52  # 30 degrees: below it, gravity is a constant load
+_SWINGS: Final = 0.8  # of the effort that is left without gravity: there is gravity
 _MOVES: Final = 0.02  # of the highest speed: below it the axis rests, as far as friction goes
 
 
@@ -41,7 +51,7 @@ class Parameter:
     """A parameter of the model.
 
     Attributes:
-        name: one of NAMES.
+        name: one of NAMES, of GRAVITY, or DELAY [s].
         value: in SI units of the output.
         deviation: its standard deviation, in the same unit.
         unseen: why the recording does not show it; "" if it does.
@@ -66,7 +76,7 @@ class Fit:
     """A fitted model.
 
     Attributes:
-        parameters: by name, in the order of NAMES.
+        parameters: by name: NAMES, GRAVITY if the axis has it, DELAY if it was searched.
         error: norm of the effort that the model does not explain, as a share of the effort's.
         condition: condition number of the scaled regressor.
         samples: number of decimated samples.
@@ -77,6 +87,50 @@ class Fit:
     condition: float
     samples: int
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the parameters of the model's equation."""
+        return tuple(name for name in self.parameters if name != DELAY)
+
+    @property
+    def values(self) -> list[float]:
+        """The values of the parameters of the model's equation."""
+        return [self.parameters[name].value for name in self.names]
+
+    @property
+    def delay_s(self) -> float:
+        """The delay of the efforts [s]; 0.0: it was not searched."""
+        return self.parameters[DELAY].value if DELAY in self.parameters else 0.0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Both sides of the model's equation, filtered and decimated.
+
+    Attributes:
+        names: the parameters.
+        regressor: a column for each, shape (n, p).
+        effort: shape (n,).
+        velocity: shape (n,).
+        scale: norms of the columns, shape (p,); 1 for a column of zeros.
+    """
+
+    names: tuple[str, ...]
+    regressor: "NDArray[float64]"
+    effort: "NDArray[float64]"
+    velocity: "NDArray[float64]"
+    scale: "NDArray[float64]"
+
+    def effort_error(self, values: "NDArray[float64]") -> float:
+        """Return the share of the effort that these values do not explain."""
+        rest = self.effort - self.regressor @ values
+        return float(np.linalg.norm(rest) / np.linalg.norm(self.effort))
+
+    def condition(self) -> float:
+        """Return the condition number of the scaled regressor."""
+        return float(np.linalg.cond(self.regressor / self.scale))
+
 
 def fitted(samples: Samples) -> Fit:
     """Return the model that explains the efforts of these samples best.
@@ -84,40 +138,84 @@ def fitted(samples: Samples) -> Fit:
     Raises:
         RigError: scipy is not installed, or the motor does not move.
     """
-    regressor, effort, velocity = _prepared(samples)
+    fit = _best(terms_of(samples))
+    if samples.unit != "rad" or float(np.ptp(samples.position)) < _TRAVEL_RAD:
+        return fit
+    swinging = _best(terms_of(samples, names=(*NAMES, *GRAVITY)))
+    return swinging if swinging.error < _SWINGS * fit.error else fit
+
+
+def _best(terms: Terms) -> Fit:
+    values, deviations = _solved(terms.regressor, terms)
+    return fit_of(values, deviations, terms)
+
+
+def friction_by_direction(
+    samples: Samples, delay_s: float = 0.0, names: tuple[str, ...] = NAMES
+) -> tuple[dict[str, Parameter], float]:
+    """Return frictions of a model with one for each direction, and the effort it leaves.
+
+    A constant load takes the place of a difference between the directions, so that this model has
+    no offset. Where it leaves less effort than the other, friction depends on the direction.
+
+    Returns:
+        The parameters of SIDES, and the share of the effort that this model does not explain.
+    """
+    terms = terms_of(samples, delay_s, names)
+    inertia, viscous, coulomb, _, *others = terms.regressor.T
+    ahead, back = terms.velocity > 0.0, terms.velocity <= 0.0
+    sides = (viscous * ahead, viscous * back, coulomb * ahead, coulomb * back)
+    regressor = np.column_stack([inertia, *sides, *others])
+    values, deviations = _solved(regressor, terms)
+    rest = terms.effort - regressor @ values
+    found = {
+        name: Parameter(name, value, deviation)
+        for name, value, deviation in zip(
+            SIDES, values[1:5].tolist(), deviations[1:5].tolist(), strict=True
+        )
+        if deviation
+    }
+    return found, float(np.linalg.norm(rest) / np.linalg.norm(terms.effort))
+
+
+def _solved(
+    regressor: "NDArray[float64]", terms: Terms
+) -> "tuple[NDArray[float64], NDArray[float64]]":
+    """Return values and deviations of the columns' parameters; both 0 for a column of zeros."""
     scale = np.linalg.norm(regressor, axis=0)
-    if not scale[0] or not scale[1]:
-        raise RigError(samples.name, "does not move in this recording", "record a motion")
     scale[scale == 0.0] = 1.0
     scaled = regressor / scale
-    values, *_ = np.linalg.lstsq(scaled, effort, rcond=None)
-    rest = effort - scaled @ values
-    freedom = max(1, len(effort) - len(NAMES))
-    variance = float(rest @ rest) / freedom
+    values, *_ = np.linalg.lstsq(scaled, terms.effort, rcond=None)
+    rest = terms.effort - scaled @ values
+    variance = float(rest @ rest) / max(1, len(rest) - len(scale))
     covariance = variance * np.linalg.pinv(scaled.T @ scaled)
-    deviations = np.sqrt(np.diag(covariance)) / scale
-    values = values / scale
+    return values / scale, np.sqrt(np.diag(covariance)) / scale
+
+
+def fit_of(values: "NDArray[float64]", deviations: "NDArray[float64]", terms: Terms) -> Fit:
+    """Return a fit with these values; those that the recording does not show say so."""
+    effort = float(np.linalg.norm(terms.effort))
     parameters = {}
-    for number, name in enumerate(NAMES):
-        value, deviation = float(values[number]), float(deviations[number])
-        share = abs(value) * float(scale[number]) / float(np.linalg.norm(effort))
-        unseen, remedy = _unseen(name, value, deviation, share, velocity)
+    for name, value, deviation, scale in zip(
+        terms.names, values.tolist(), deviations.tolist(), terms.scale.tolist(), strict=True
+    ):
+        share = abs(value) * scale / effort if effort else 0.0
+        unseen, remedy = _unseen(name, value, deviation, share, terms.velocity)
         parameters[name] = Parameter(name, value, deviation, unseen, remedy)
-    error = float(np.linalg.norm(rest) / np.linalg.norm(effort))
-    return Fit(parameters, error, float(np.linalg.cond(scaled)), len(effort))
+    return Fit(parameters, terms.effort_error(values), terms.condition(), len(terms.effort))
 
 
 def effort_error(fit: Fit, samples: Samples) -> float:
     """Return the share of the effort of other samples that the model does not explain."""
-    regressor, effort, _ = _prepared(samples)
-    values = np.array([fit.parameters[name].value for name in NAMES])
-    return float(np.linalg.norm(effort - regressor @ values) / np.linalg.norm(effort))
+    return terms_of(samples, fit.delay_s, fit.names).effort_error(np.array(fit.values))
 
 
-def _prepared(
-    samples: Samples,
-) -> "tuple[NDArray[float64], NDArray[float64], NDArray[float64]]":
-    """Return the decimated regressor (n, 4), efforts (n,) and velocities (n,)."""
+def terms_of(samples: Samples, delay_s: float = 0.0, names: tuple[str, ...] = NAMES) -> Terms:
+    """Return both sides of the equation, with efforts that are recorded `delay_s` late.
+
+    Raises:
+        RigError: scipy is not installed, or the motor does not move.
+    """
     signal = _signal()
     period = samples.period_s
     above, below = signal.butter(_ORDER, _CUT_SHARE)
@@ -125,6 +223,8 @@ def _prepared(
     velocity = np.gradient(position, period)
     acceleration = np.gradient(velocity, period)
     columns = [acceleration, velocity, np.sign(velocity), np.ones_like(velocity)]
+    if len(names) > len(columns):
+        columns += [np.sin(position), np.cos(position)]
     edge = min(_EDGE, len(position) // 8)
     kept = slice(edge, -edge)
     every = max(1, round(1.0 / (period * _DECIMATION_HZ)))
@@ -135,7 +235,13 @@ def _prepared(
         return out
 
     regressor = np.column_stack([reduced(one) for one in columns])
-    return regressor, reduced(samples.effort), reduced(velocity)
+    scale = np.linalg.norm(regressor, axis=0)
+    if not scale[0] or not scale[1]:
+        raise RigError(samples.name, "does not move in this recording", "record a motion")
+    scale[scale == 0.0] = 1.0
+    times = np.arange(len(position)) * period
+    effort = np.interp(times + delay_s, times, samples.effort) if delay_s else samples.effort
+    return Terms(names, regressor, reduced(effort), reduced(velocity), scale)
 
 
 def _unseen(
@@ -161,12 +267,12 @@ def _unseen(
         "coulomb": ("the motor moves too little", "move slowly, there and back"),
         "offset": ("noise hides a constant load", "move longer"),
     }
-    return reasons[name]
+    return reasons.get(name, ("the axis turns too little", "turn by half a turn or more"))
 
 
 def _signal() -> Any:
     try:
-        from scipy import signal  # type: ignore[import-untyped] # it has no stubs of its own
+        from scipy import signal
     except ImportError:
         remedy = "install motorhil[identify]"
         raise RigError("identify", "scipy is not installed", remedy) from None

@@ -53,7 +53,10 @@ QUANTITIES: Final[dict[int, bool]] = {
     0x6064: True,  # position actual value
     0x606B: True,  # velocity demand value
     0x606C: True,  # velocity actual value
+    0x6075: False,  # motor rated current
+    0x6076: False,  # motor rated torque
     0x6077: True,  # torque actual value
+    0x6078: True,  # current actual value
     0x607A: True,  # target position
     0x60C1: True,  # interpolation data record
     0x60F4: True,  # following error actual value

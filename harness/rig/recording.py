@@ -42,7 +42,22 @@ def named_files(rig: Mapping[str, object]) -> list[tuple[str, str]]:
             named = table.get(key) if isinstance(table, dict) else None
             if isinstance(named, str):
                 found.setdefault(named, media_type)
+    controllers = rig.get("controller")
+    for table in controllers.values() if isinstance(controllers, dict) else ():
+        for named in _plant_files(table):
+            found.setdefault(named, _TOML)
     return list(found.items())
+
+
+def _plant_files(controller: object) -> list[str]:
+    """Return the files of a controller's plants: its own, and those of its channels."""
+    if not isinstance(controller, dict):
+        return []
+    channels = controller.get("channel")
+    owners = [controller, *(channels.values() if isinstance(channels, dict) else ())]
+    plants = [owner.get("plant") for owner in owners if isinstance(owner, dict)]
+    files = [plant.get("file") for plant in plants if isinstance(plant, dict)]
+    return [file for file in files if isinstance(file, str)]
 
 
 def files_of(description: "RigDescription") -> list[tuple[str, str, bytes]]:

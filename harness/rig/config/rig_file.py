@@ -67,11 +67,13 @@ from motorhil.settings import (
     flag,
     listed,
     nearest,
+    parse_toml,
     setting,
     text,
     whole,
 )
 
+_PLANT_REMEDY: Final = "make it with motorhil identify -o plant.toml"
 TOP_KEYS: Final = (
     *("rig", "bus", "controller", "motor", "group", "fault", "stimulus", "program"),
     *("conformance", "world", "swarm"),
@@ -91,8 +93,14 @@ class RigTable:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class FromModelTable:
+class FromElsewhereTable:
     """Keys that the harness adds to the table of a plant."""
+
+    file: str | None = text(
+        None,
+        "A plant of `motorhil identify`, for values that this table does not give.",
+        example='"plant.toml"',
+    )
 
     from_motor_model: bool = flag(
         False,
@@ -174,7 +182,7 @@ class ControllerDescription:
         kind: the plugin that builds it.
         bus: its bus.
         node_id: its node-ID, or its unit on a line; None if its kind has none.
-        settings: its table without `kind`, `bus` and `plant.from_motor_model`.
+        settings: its table without `kind`, `bus`, `plant.from_motor_model` and `plant.file`.
         plants_from_model: paths of the plant tables in it (`plant`, `channel.2.plant`) that take
             missing values from their motor's model.
     """
@@ -365,16 +373,34 @@ def _controller(
     asking: list[KeyPath] = []
     for plant in _plants(table):
         path = plant.path[len(table.path) :]
-        if plant.part(FromModelTable).from_motor_model:
+        elsewhere = plant.part(FromElsewhereTable)
+        if elsewhere.from_motor_model:
             asking.append(path)
-        if plant.has("from_motor_model"):
-            settings = replaced(settings, path, _without(plant, ("from_motor_model",)))
+        if plant.has("from_motor_model") or plant.has("file"):
+            values = _in_file(plant, elsewhere.file) | _without(plant, ("from_motor_model", "file"))
+            settings = replaced(settings, path, values)
     if name == HOST or name.startswith(f"{HOST}-"):
         raise table.source.error(
             table.path, "is reserved for the application's ports on a bus", "rename it"
         )
     address = read_address(table, buses[own.bus])
     return ControllerDescription(name, own.kind, own.bus, address, settings, tuple(asking))
+
+
+def _in_file(plant: Table, file: str | None) -> dict[str, object]:
+    """Return the plant in a file beside the rig; nothing if no file is named."""
+    if file is None:
+        return {}
+    path = plant.source.path.parent / file
+    if not _is_file(path):
+        raise plant.error("file", f"no such file: {path}", "paths start at the rig's folder")
+    try:
+        found = parse_toml(path.read_text("utf-8")).get("plant")
+    except (OSError, ValueError, RecursionError) as error:
+        raise plant.error("file", f"{path} is not TOML: {error}", _PLANT_REMEDY) from None
+    if not isinstance(found, dict):
+        raise plant.error("file", f"{path} has no table [plant]", _PLANT_REMEDY)
+    return found
 
 
 def _check_plugin(table: Table, key: str, name: str, known: Known, names: Sequence[str]) -> None:

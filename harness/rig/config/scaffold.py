@@ -126,6 +126,17 @@ def write_rig(folder: Path, text: str) -> list[Path]:
     return list(texts)
 
 
+def write_program(path: Path, text: str) -> list[Path]:
+    """Write a program beside its rig; return the file.
+
+    Raises:
+        RigError: the file exists already, or cannot be written.
+    """
+    _refuse_existing([path], "delete or rename it first")
+    _write(path.parent, {path: text})
+    return [path]
+
+
 def _rig(folder: Path) -> dict[Path, str]:
     from motorhil.harness.rig.config.schema import schema_text  # loads all plugins' tables
 

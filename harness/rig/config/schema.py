@@ -19,7 +19,7 @@ from motorhil.harness.rig.config.programs import ProgramTable
 from motorhil.harness.rig.config.rig_file import (
     RESERVED,
     ControllerTable,
-    FromModelTable,
+    FromElsewhereTable,
     GroupTable,
     MotorTable,
     RigTable,
@@ -65,7 +65,7 @@ def rig_schema() -> Schema:
     definitions = whole.pop("$defs")
     root = whole.pop("root")
     # The harness reads these keys itself, and removes them from what it hands to a plugin.
-    from_model = schema(FromModelTable)["properties"]
+    from_model = schema(FromElsewhereTable)["properties"]
     definitions[PLANT.name]["properties"] |= from_model
     whole["controller"]["properties"]["plant"] = {"type": "object", "properties": from_model}
     return {**root, "$defs": {**whole, **definitions}}

@@ -7,10 +7,9 @@ from motorhil.harness.identification.inverse_model import NAMES, effort_error, f
 from motorhil.harness.identification.plant_table import plant_keys, table_of
 from motorhil.harness.identification.samples import Samples
 from motorhil.harness.rig.config.toml import RigError
+from tests.support.motion.measured_axes import PUBLISHED, emps
 
 TRUE = {"inertia": 0.065, "viscous": 0.02, "coulomb": 0.27, "offset": -0.1}
-PUBLISHED = {"inertia": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
-"""Janot, Gautier and Brunot, "Data Set and Reference Models of EMPS", 2019."""
 
 
 def samples(rate_hz=200.0, duration_s=20.0, noise=0.0, drift=0.0, true=TRUE, speeds=(0.5, 1.3)):
@@ -95,20 +94,10 @@ def test_a_parameter_that_is_not_seen_has_no_key():
 @pytest.mark.data
 def test_a_measured_axis_agrees_with_what_was_published(shared):
     """EMPS: within 1 % of each parameter, effort error of both records as published or better."""
-    loadmat = pytest.importorskip("scipy.io").loadmat
-
-    def record(name):
-        data = {
-            key: np.asarray(value).ravel()
-            for key, value in loadmat(shared / "data" / "emps" / name).items()
-            if not key.startswith("__")
-        }
-        force = data["gtau"] * data["vir"]
-        return Samples("emps", "m", float(data["t"][1] - data["t"][0]), data["qm"], force, name)
-
-    fit = fitted(record("DATA_EMPS.mat"))
+    pytest.importorskip("scipy.io")
+    fit = fitted(emps(shared, "DATA_EMPS.mat"))
     for name, value in PUBLISHED.items():
         assert fit.parameters[name].value == pytest.approx(value, rel=0.01), name
         assert fit.parameters[name].unseen == ""
     assert fit.error <= 0.042
-    assert effort_error(fit, record("DATA_EMPS_PULSES.mat")) <= 0.061
+    assert effort_error(fit, emps(shared, "DATA_EMPS_PULSES.mat")) <= 0.061

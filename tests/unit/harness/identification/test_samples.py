@@ -49,4 +49,12 @@ def test_parts_of_the_rated_torque_are_scaled(recording):
     file = recording(plot("position", "rad", 10, 3.0), plot("torque", "‰ of rated", 10, 500.0))
     with pytest.raises(RigError, match="holds no torque or force of axis in SI units"):
         samples.samples_in(file)
-    assert samples.samples_in(file, rated=2.4).effort[-1] == pytest.approx(1.2)
+    assert samples.samples_in(file, how=samples.Reading(rated=2.4)).effort[-1] == pytest.approx(1.2)
+
+
+def test_values_that_a_line_does_not_repeat_are_held():
+    times = np.array([0, 10, 20, 100, 110]) * MS
+    line = Line("position", "actual", "the bus", True, times, np.array([0.0, 1.0, 2.0, 3.0, 4.0]))
+    grid = np.arange(0, 120, 10) * float(MS)
+    found = samples.on_grid(grid, line, 10.0 * MS)
+    assert found.tolist() == [0.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.0, 4.0]
