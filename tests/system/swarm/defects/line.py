@@ -22,12 +22,14 @@ class Line:
         self.slides = [rig.motors["left"], rig.motors["right"]]
 
     def run(self):
-        """Make all steps, or give up; then nothing moves."""
+        """Make all steps, or give up; then no slide has gone farther than its steps."""
+        places = {}
         try:
             for slide in self.slides:
                 slide.enable()
                 slide.set_control_mode(ControlMode.SETPOINT)
-            places = {slide: slide.position() for slide in self.slides}
+            for slide in self.slides:
+                places[slide] = slide.position()
             for step in STEPS:
                 for slide in self.slides:
                     places[slide] += step
@@ -37,6 +39,9 @@ class Line:
             sometimes(True, "the line gives up")
             self.rest()
         self.runtime.run_for(0.5)
+        for slide, place in places.items():
+            is_within = self.truth.position(slide.name) < place + NEAR_RAD
+            always(is_within, "a slide is where its steps lead, or short of it")
 
     def step(self, slide, place, distance):
         """Make a step; if it failed, go to the place where it should have ended."""
