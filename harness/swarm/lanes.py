@@ -17,6 +17,7 @@ from motorhil.harness.swarm.worlds.profile import Profile
 
 LANES: Final = 16
 _CORPUS_MAX: Final = 256
+_PICKS: Final = 3
 _CHECKED: Final = 4
 """The last world of every batch of that number runs alone as well."""
 _CHECKED_EARLY: Final = (LANES, LANES + LANES // 2)
@@ -66,7 +67,8 @@ class Lane:
         if new and row.seed != CANARY:
             self.seen.update(dict.fromkeys(new))
             if row.world:
-                self.corpus.append(Parent(row.world, row.reactions))
+                reached = sum(count > 0 for _, count in row.met)
+                self.corpus.append(Parent(row.world, row.reactions, reached))
                 del self.corpus[:-_CORPUS_MAX]
 
     def world(self, seed: int, profile: Profile, table: SwarmTable, guided: bool = True) -> World:
@@ -77,7 +79,11 @@ class Lane:
         return drawn(random, profile, table)
 
     def _parent(self, random: Random) -> Parent:
-        """Return a world to mutate: rather a late one, which met what is rare, and a small one."""
+        """Return a world to mutate: rather a late one, which met what is rare.
+
+        Of some, take the one that has reached most conditions of `sometimes`: the program itself
+        tells by them which of its parts are rarely tested. Then a small one is better.
+        """
         count = len(self.corpus)
-        picks = [self.corpus[int(count * random.random() ** 0.5)] for _ in range(2)]
-        return min(picks, key=lambda one: len(one.world))
+        picks = [self.corpus[int(count * random.random() ** 0.5)] for _ in range(_PICKS)]
+        return max(picks, key=lambda one: (one.reached, -len(one.world)))

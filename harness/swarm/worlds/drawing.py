@@ -56,21 +56,24 @@ class Parent:
     Attributes:
         world: its disturbances.
         reactions: frames of its run; their marks are those after a disturbance struck.
+        reached: number of conditions of `sometimes` that were true.
     """
 
     world: World
     reactions: tuple[Traffic, ...] = ()
+    reached: int = 0
 
     def as_table(self) -> list[object]:
         """Return it for JSON."""
         world, reactions = self.world, self.reactions
-        return [[one.as_table() for one in world], [one.as_row() for one in reactions]]
+        rows = [one.as_row() for one in reactions]
+        return [[one.as_table() for one in world], rows, self.reached]
 
 
 def parent_from(table: Sequence[Any]) -> Parent:
     """Return the parent of `as_table`."""
-    world, reactions = table
-    return Parent(tuple(map(from_table, world)), tuple(map(traffic_from, reactions)))
+    world, reactions, reached = table
+    return Parent(tuple(map(from_table, world)), tuple(map(traffic_from, reactions)), reached)
 
 
 def drawn(random: Random, profile: Profile, table: SwarmTable) -> World:

@@ -1,9 +1,9 @@
 """Marks of a run: commands of its program, and the answers to them.
 
-A command is a frame of the host whose bytes its stream has not had for a while. Polls and
-heartbeats repeat theirs sooner. An answer is the first frame of each stream of a controller after a
-command on the same bus. A stream has the frames of one identifier from one sender, or all
-transmissions of a sender on a line.
+A command is a frame of the host whose bytes its stream has not had for a while, and has rarely.
+Polls and heartbeats repeat theirs sooner and more often. An answer is the first frame of each
+stream of a controller after a command on the same bus. A stream has the frames of one identifier
+from one sender, or all transmissions of a sender on a line.
 """
 
 from collections.abc import Callable, Container, Sequence
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _AGAIN_NS: Final = 300_000_000
 """Polls repeat within this time, commands do not."""
+_RARE: Final = 4
+"""Commands have bytes that come that often at most."""
 _MARKS_MAX: Final = 96
 _DIGITS: Final = 4  # of a time [s]
 
@@ -53,23 +55,43 @@ def traffic_from(row: Sequence[Any]) -> Traffic:
 
 
 @final
+class _Content:
+    """The bytes of some frames of a host's stream.
+
+    Attributes:
+        frames: number of these frames.
+        last_ns: time of the last one [ns].
+    """
+
+    __slots__ = ("frames", "last_ns")
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.last_ns = -_AGAIN_NS
+
+
+@final
 class _Stream:
     """A stream, as far as its frames have passed.
 
     Attributes:
         frames: number of its frames.
-        marks: number and time [ns] of those that are marks.
-        last_ns: the last time of each content; of a host's stream only.
-        commands: number of commands on the bus before its last mark; of a controller's only.
+        marks: number and time [ns] of those that may be marks, and the content of the command.
+        contents: contents by their bytes; of a host's stream only.
+        command: the last command that it has answered; of a controller's only.
     """
 
-    __slots__ = ("commands", "frames", "last_ns", "marks")
+    __slots__ = ("command", "contents", "frames", "marks")
 
     def __init__(self) -> None:
         self.frames = 0
-        self.marks: list[tuple[int, int]] = []
-        self.last_ns: dict[bytes, int] = {}
-        self.commands = 0
+        self.marks: list[tuple[int, int, _Content]] = []
+        self.contents: dict[bytes, _Content] = {}
+        self.command = 0
+
+
+_NONE: Final = 0, _Content()
+"""The command before any other."""
 
 
 @final
@@ -91,7 +113,7 @@ class Marks:
         self._controllers = controllers
         self._on_command = on_command
         self._streams: dict[tuple[str, str, int | None], _Stream] = {}
-        self._commands: dict[str, int] = {}  # by bus
+        self._commands: dict[str, tuple[int, _Content]] = {}  # by bus: number, and the last one
         world.tap_frames(self._frame)
         world.tap_lines(self._adu)
 
@@ -101,7 +123,7 @@ class Marks:
             Traffic(
                 *key,
                 one.frames,
-                _thinned(_within(one.marks, since_ns, until_ns)),
+                _within(one.marks, since_ns, until_ns),
                 key[1] in self._controllers,
             )
             for key, one in self._streams.items()
@@ -132,28 +154,33 @@ class Marks:
             stream = self._streams[key] = _Stream()
         number = stream.frames
         stream.frames += 1
-        commands = self._commands.get(bus, 0)
         if sender in self._controllers:
-            if stream.commands != commands:
-                stream.commands = commands
-                stream.marks.append((number, time_ns))
+            count, content = self._commands.get(bus, _NONE)
+            if stream.command != count:
+                stream.command = count
+                stream.marks.append((number, time_ns, content))
             return
-        last_ns = stream.last_ns.get(data)
-        stream.last_ns[data] = time_ns
-        if last_ns is None or time_ns - last_ns >= _AGAIN_NS:
-            self._commands[bus] = commands + 1
-            stream.marks.append((number, time_ns))
+        known = stream.contents.get(data)
+        content = known or _Content()
+        if known is None:
+            stream.contents[data] = content
+        content.frames += 1
+        if time_ns - content.last_ns >= _AGAIN_NS:
+            count, _ = self._commands.get(bus, _NONE)
+            self._commands[bus] = count + 1, content
+            stream.marks.append((number, time_ns, content))
             self._on_command(identifier, time_ns)
+        content.last_ns = time_ns
 
 
 def _within(
-    marks: list[tuple[int, int]], since_ns: int, until_ns: int | None
-) -> list[tuple[int, int]]:
-    if until_ns is None:
-        return [one for one in marks if one[1] >= since_ns]
-    return [one for one in marks if since_ns <= one[1] <= until_ns]
-
-
-def _thinned(marks: list[tuple[int, int]]) -> tuple[tuple[int, float], ...]:
-    step = -(-len(marks) // _MARKS_MAX) or 1
-    return tuple((number, round(at_ns / 1e9, _DIGITS)) for number, at_ns in marks[step - 1 :: step])
+    marks: list[tuple[int, int, _Content]], since_ns: int, until_ns: int | None
+) -> tuple[tuple[int, float], ...]:
+    """Return the marks of a time whose commands are rare, thinned if there are many."""
+    found = [
+        (number, round(at_ns / 1e9, _DIGITS))
+        for number, at_ns, content in marks
+        if at_ns >= since_ns and (until_ns is None or at_ns <= until_ns) and content.frames <= _RARE
+    ]
+    step = -(-len(found) // _MARKS_MAX) or 1
+    return tuple(found[step - 1 :: step])

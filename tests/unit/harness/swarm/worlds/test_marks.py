@@ -55,7 +55,8 @@ def test_polls_of_a_line_are_no_commands():
         world.adu(at_ms, "host", b"\x01\x03")
         world.adu(at_ms + 5, "left", b"\x01\x03\x02")
     world.adu(1000, "host", b"\x01\x06")
-    assert marks(found.traffic(), "host") == ((0, 0.0), (50, 1.0))
+    world.adu(1400, "host", b"\x01\x03")  # after a pause
+    assert marks(found.traffic(), "host") == ((50, 1.0),)
     assert found.traffic()[0].identifier is None
 
 
