@@ -10,7 +10,7 @@ from tests.system.swarm.defects import CORRECT, DEFECTS
 from tests.system.swarm.kept import kept_worlds
 from tests.system.swarm.measure import campaign, plan_for, plan_without_profile, run_forked
 
-FOUND_WITHIN = {"SwallowsAnError": 16, "RepeatsTheWholeWay": 64}
+FOUND_WITHIN = {"SwallowsAnError": 16, "MovesTwice": 32, "RepeatsTheWholeWay": 64}
 """Seeds, at most, until the defect is found."""
 
 
