@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 _AGAIN_NS: Final = 300_000_000
 """Polls repeat within this time, commands do not."""
-_RARE: Final = 4
-"""Commands have bytes that come that often at most."""
+_RARE: Final = 12
+"""Commands have bytes that come that often at most: a stop is repeated some times."""
 _MARKS_MAX: Final = 96
 _DIGITS: Final = 4  # of a time [s]
 

@@ -7,6 +7,7 @@ Pairs of both are the coverage of a campaign. Places are read from the stack whe
 """
 
 import inspect
+import os
 import re
 import sysconfig
 from collections import Counter
@@ -31,6 +32,7 @@ _ADU: Final = re.compile(
 _DISTURBED: Final = re.compile(r"((?:stimulus )?[a-z]+)[ \d_a-z]*[:=]")
 _PLACES: Final = 2
 _STDLIB: Final = (sysconfig.get_paths()["stdlib"], "<frozen")
+_INSTALLED: Final = f"{os.sep}site-packages{os.sep}"
 _AT_REST: Final = 1e-3  # [rad/s or m/s]
 _VELOCITIES: Final = ("velocity_rad_s", "velocity_m_s")
 _NOTHING: Final = "the start"
@@ -140,15 +142,20 @@ def acts_of(world: "World", observers: Iterable[Observer]) -> tuple[tuple[str, i
 
 
 def place(count: int = _PLACES, with_lines: bool = True) -> str:
-    """Return where the program is: its innermost functions, up to a number, with their lines."""
-    found: list[str] = []
+    """Return where the program is: its innermost functions, up to a number, with their lines.
+
+    Libraries that are installed count only if nothing else is on the stack.
+    """
+    own: list[str] = []
+    installed: list[str] = []
     frame: FrameType | None = inspect.currentframe()
-    while frame is not None and len(found) < count:
+    while frame is not None and len(own) < count:
         code = frame.f_code
         if not is_own_file(code.co_filename) and not code.co_filename.startswith(_STDLIB):
+            found = installed if _INSTALLED in code.co_filename else own
             found.append(f"{code.co_name}:{frame.f_lineno}" if with_lines else code.co_name)
         frame = frame.f_back
-    return " < ".join(found) or "-"
+    return " < ".join(own or installed[:count]) or "-"
 
 
 def state_class(truth: Mapping[str, float]) -> str:
