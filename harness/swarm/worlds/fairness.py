@@ -2,8 +2,9 @@
 
 A disturbance can break a promise by itself: a load that is stronger than the motor moves it at
 rest, and a lost frame is a request without an answer. A delayed statusword reports the state or the
-target of before. A program that starts again and again after the same fault sends its SYNCs in
-equal times, so they look cyclic until it gives up. Such an oracle does not judge such a world.
+target of before. A delayed command arrives after a fault that its sender had not heard of. A
+program that starts again and again after the same fault sends its SYNCs in equal times, so they
+look cyclic until it gives up. Such an oracle does not judge such a world.
 
 A load may push a motor out of the limits of its model. The motor then refuses each further motion,
 because it does not begin within them.
@@ -30,6 +31,7 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     "sync-period": (*_LOST, *_PUSHED, "quirk", "clock"),
     **dict.fromkeys(("tpdo-times", "error-states", "fault-told"), (*_LOST, "quirk", "clock")),
     **dict.fromkeys(("commands-obeyed", "nmt-obeyed"), (*_LOST, "quirk")),
+    "fault-heeded": ("delay",),
 }
 """By oracle: the kinds of disturbances that can break its promise by themselves."""
 
