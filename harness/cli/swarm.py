@@ -39,6 +39,7 @@ from motorhil.harness.swarm.plan import (
 )
 from motorhil.harness.swarm.report.coverage import coverage_of
 from motorhil.harness.swarm.report.page import page_of, write_page
+from motorhil.harness.swarm.report.processes import KEEPS, processes_of
 from motorhil.harness.swarm.report.progress import Progress, Times, progress_in
 from motorhil.harness.swarm.report.sentences import failed
 from motorhil.harness.swarm.report.texts import as_table, counted, lines_of, progress_line
@@ -417,11 +418,17 @@ def _show(options: argparse.Namespace) -> int:
 def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Namespace) -> Summary:
     """Write the page, and print the findings; return them."""
     page, summary, progress = _page(plan, results, kept)
+    processes = processes_of(plan, results)
     if results.is_alone:
         teller("swarm")(_alone(results.shown_by))
     found = summary, kept, plan, coverage_of(plan, summary), progress
     if options.json:
-        alone = {"alone": results.is_alone, "shown_by": results.shown_by}
+        alone = {
+            "alone": results.is_alone,
+            "shown_by": results.shown_by,
+            "batch": processes.batch,
+            "ran_alone": list(processes.alone),
+        }
         print(json.dumps({**as_table(*found), **alone, "page": str(page)}, indent=1))
         return summary
     for line in lines_of(*found):
@@ -433,7 +440,7 @@ def _tell(plan: Plan, results: Results, kept: list[Kept], options: argparse.Name
 def _alone(seed: int | None) -> str:
     """Return why each world ran in a process of its own."""
     shown = "" if seed is None else f"seed {seed}: its result depends on the worlds before it; "
-    return f"{shown}the program keeps state, so each world has run in a process of its own"
+    return f"{shown}{KEEPS}"
 
 
 def _page(
@@ -442,5 +449,6 @@ def _page(
     """Write the page; return its file, and the findings in it."""
     folder = results.folder
     summary, progress = summary_of(results.rows.values()), progress_in(folder)
-    text = page_of(folder, plan, summary, kept, progress, time.time(), is_running=is_running)
+    found = summary, kept, progress, processes_of(plan, results)
+    text = page_of(folder, plan, *found, time.time(), is_running=is_running)
     return write_page(folder, text), summary, progress

@@ -130,7 +130,7 @@ class Campaign:
         request: dict[str, Any] = {
             "seeds": seeds,
             "seen": list(state.seen),
-            "corpus": [[one.as_table() for one in world] for world in state.corpus],
+            "corpus": [one.as_table() for one in state.corpus],
             "guided": self._guided,
             "alone": self._results.is_alone,
         }

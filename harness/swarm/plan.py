@@ -115,7 +115,8 @@ class Plan:
 
     def as_table(self) -> dict[str, object]:
         """Return it for JSON."""
-        return asdict(self)
+        seen = None if self.profile is None else self.profile.as_table()
+        return {**asdict(self), "profile": seen}
 
 
 def plan_of(rig: Path, program: Program, oracles: tuple[str, ...], wall_s: float) -> Plan:

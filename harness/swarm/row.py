@@ -7,6 +7,7 @@ from enum import Enum
 from typing import Any, Final, TypeVar, final
 
 from motorhil.harness.swarm.worlds.disturbance import World, from_table
+from motorhil.harness.swarm.worlds.marks import Traffic, traffic_from
 
 T = TypeVar("T")
 CANARY: Final = -1
@@ -44,6 +45,7 @@ class Row:
         met: conditions of `sometimes` that were true, and those that never were, with 0.
         acts: kinds of its disturbances, and how often each struck.
         world: its disturbances, if it failed or met something new; else ().
+        reactions: traffic of the run, with marks soon after disturbances, if it met something new.
     """
 
     seed: int
@@ -60,6 +62,7 @@ class Row:
     met: tuple[tuple[str, int], ...] = ()
     acts: tuple[tuple[str, int], ...] = ()
     world: World = ()
+    reactions: tuple[Traffic, ...] = ()
 
     @property
     def is_bad(self) -> bool:
@@ -79,6 +82,8 @@ class Row:
                 table[key] = dict(counts)
         if self.world:
             table["world"] = [one.as_table() for one in self.world]
+        if self.reactions:
+            table["reactions"] = [one.as_row() for one in self.reactions]
         return json.dumps(table, separators=(",", ":"), ensure_ascii=False)
 
 
@@ -116,6 +121,7 @@ def row_from(line: str | bytes) -> Row:
             if key in table:
                 table[key] = _once(table[key])
         table["world"] = tuple(from_table(one) for one in table.get("world", ()))
+        table["reactions"] = tuple(map(traffic_from, table.get("reactions", ())))
         return Row(**table)
     except (ValueError, TypeError, KeyError, AttributeError, AssertionError) as error:
         raise ValueError(f"no row of a campaign: {error}") from None

@@ -7,7 +7,7 @@ import re
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -38,8 +38,8 @@ from motorhil.harness.swarm import properties
 from motorhil.harness.swarm.child import call_forked
 from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, SCRIPT, Plan
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
-from motorhil.harness.swarm.worlds.disturbance import World, fragment
-from motorhil.harness.swarm.worlds.fairness import fair, fair_in
+from motorhil.harness.swarm.worlds.disturbance import World, fragment, kinds_in
+from motorhil.harness.swarm.worlds.fairness import fair, is_pushed_out
 from motorhil.harness.swarm.worlds.observer import Observer, acts_of
 from motorhil.harness.swarm.worlds.profile import Profile, Profiler
 from motorhil.traces.digest import digest
@@ -232,6 +232,7 @@ class _Trial:
             met=tuple(properties.met().items()),
             acts=acts_of(self._world, [one.observer for one in runs]),
             world=self._world,
+            reactions=runs[0].observer.reactions() if runs else (),
         )
         failed = next((one for one in runs if one.failures), None)
         failures = self._outside if failed is None else failed.failures
@@ -393,7 +394,8 @@ class _Trial:
             return
         run = self._runs[-1] if self._runs else None
         allowed = UNDECLARED if run is None else run.rig.description.world.swarm
-        if (self._world or self._file) and any(one in kinds for one in allowed.allowed_errors):
+        is_allowed = any(one in kinds for one in allowed.allowed_errors)
+        if (self._world or self._file) and (is_allowed or is_pushed_out(error, self._kinds())):
             self._ended_by = self._ended_by or name
             return
         place = _place(error)
@@ -408,12 +410,18 @@ class _Trial:
         now_ns = 0 if run is None else run.rig.runtime.now_ns()
         failures.append(Failure(now_ns, oracle, rule, "", text))
 
+    def _kinds(self) -> Collection[str]:
+        """Return the kinds of disturbances of the world."""
+        if self._file is not None:
+            return kinds_in(read_fragment(self._file).text)
+        return {one.kind for one in self._world}
+
     # --- judgement -------------------------------------------------------------------------------
 
     def _judged(self, description: RigDescription, record: Path) -> Iterator[Failure]:
         """Yield the promises that a record shows broken."""
         asked = self._plan.oracles or description.world.swarm.oracles
-        only = asked or (fair(self._world) if self._file is None else fair_in(self._file))
+        only = asked or fair(self._kinds())
         facts = Facts()
         if self._seed == CANARY:
             facts, only = _at_rest(description), (*only, VelocityLimit.id)

@@ -41,18 +41,15 @@ from motorhil.harness.swarm.child import (
     orphans,
     silence,
 )
-from motorhil.harness.swarm.lanes import LANES, Lane, batch_of
+from motorhil.harness.swarm.lanes import Lane, batch_of, is_checked
 from motorhil.harness.swarm.plan import FUNCTION, Plan, build, contents_of, plan_from
 from motorhil.harness.swarm.row import CANARY, Result, Row, row_from
 from motorhil.harness.swarm.trial import NoRecord, profiled, tried, warm
 from motorhil.harness.swarm.worlds.disturbance import World, from_table
+from motorhil.harness.swarm.worlds.drawing import parent_from
 
 _TRIES: Final = 2
 """A world that something outside killed runs once more."""
-_CHECKED: Final = 4
-"""The last world of every batch of that number runs alone as well."""
-_CHECKED_EARLY: Final = (LANES, LANES + LANES // 2)
-"""Seeds that show in a short campaign whether the program keeps state."""
 _SENT_MAX: Final = 1 << 24
 """Length of a record that is sent, at most [bytes]."""
 _LEFT: Final = "left"
@@ -171,8 +168,7 @@ class Worker:
             elif "try" in request:
                 yield from self._again(request)
             else:
-                corpus = [tuple(from_table(one) for one in world) for world in request["corpus"]]
-                lane = Lane(request["seen"], corpus)
+                lane = Lane(request["seen"], map(parent_from, request["corpus"]))
                 guided, size = request["guided"], 1 if request["alone"] else self._plan.batch()
                 for _, seeds in groupby(request["seeds"], lambda seed: batch_of(seed, size)):
                     for line in self._batch(lane, list(seeds), guided, size):
@@ -224,7 +220,7 @@ class Worker:
                 row = self._next(lane, seed, guided, self._tried)
                 yield row.as_line()
                 forget_modules(loaded, package)
-                if row.result is not Result.PASSED or _is_checked(seed, size):
+                if row.result is not Result.PASSED or is_checked(seed, size):
                     return
                 if holdings() != held:
                     yield _LEFT
@@ -240,7 +236,7 @@ class Worker:
                     if text == _LEFT:
                         return _LEFT
                     row = row_from(text)
-                    if row.result is not Result.PASSED or _is_checked(row.seed, size):
+                    if row.result is not Result.PASSED or is_checked(row.seed, size):
                         return text
                     lane.learn(row)
                     seeds.pop(0)
@@ -259,6 +255,8 @@ class Worker:
         row = run(seed, world)
         new = tuple(pair for pair in row.new if pair not in lane.seen)
         row = replace(row, new=new if seed != CANARY else ())
+        if not row.new:
+            row = replace(row, reactions=())
         return row if row.new or row.is_bad else replace(row, world=())
 
     def _tried(self, seed: int, world: World) -> Row:
@@ -329,12 +327,6 @@ class Worker:
                 shutil.rmtree(one, ignore_errors=True)
             else:
                 one.unlink(missing_ok=True)
-
-
-def _is_checked(seed: int, size: int) -> bool:
-    """Return True if a world runs alone as well; its row must be the same."""
-    is_last = seed // LANES % size == size - 1
-    return seed in _CHECKED_EARLY or (is_last and batch_of(seed, size) % _CHECKED == 0)
 
 
 def _told(call: Callable[[], str]) -> str:

@@ -257,7 +257,7 @@ def _run_bare(plan: Plan, seed: int, world: World) -> None:
         except Exception as error:
             if not any(kind.__name__ in _MOTOR_ERROR for kind in type(error).__mro__):
                 raise
-        judge(record, only=fair(world))
+        judge(record, only=fair({one.kind for one in world}))
         digest(record)
 
 

@@ -129,6 +129,13 @@ class SwarmTable:
     )
     clock_ppm: float = number(100.0, 0.0, 50_000.0, "ppm", "Largest error of a controller's clock.")
     delay_s: float = number(0.2, 1e-6, 3600.0, "s", "Longest delay of a frame.")
+    answer_delay_s: float = number(
+        1.0,
+        1e-6,
+        3600.0,
+        "s",
+        "Longest delay of an answer to a request, beyond usual deadlines.",
+    )
     lasting_s: float = number(
         1.0, 1e-6, 3600.0, "s", "Longest duration of a cut, noise, load, supply or heat."
     )

@@ -21,6 +21,7 @@ from motorhil.harness.swarm.kept import Kept, command
 from motorhil.harness.swarm.plan import Plan
 from motorhil.harness.swarm.report.coverage import Coverage, coverage_of
 from motorhil.harness.swarm.report.moment import moment_of
+from motorhil.harness.swarm.report.processes import Processes
 from motorhil.harness.swarm.report.progress import Progress
 from motorhil.harness.swarm.report.sentences import story
 from motorhil.harness.swarm.report.texts import counted, span
@@ -31,6 +32,7 @@ NAME: Final = "index.html"
 RELOAD_S: Final = 5
 _POINTS: Final = 400
 _CAUSES: Final = 200
+_SEEDS: Final = 1000
 _STYLE: Final = """
 main { padding: 0 16px 30px; max-width: 1200px; overflow-wrap: anywhere }
 section { padding-top: 18px } section > h2 { display: block; margin-bottom: 4px }
@@ -67,6 +69,7 @@ def page_of(
     summary: Summary,
     kept: Sequence[Kept],
     progress: Progress,
+    processes: Processes,
     now_s: float,
     *,
     is_running: bool = False,
@@ -79,6 +82,7 @@ def page_of(
         summary: its findings.
         kept: its kept failures, so far.
         progress: its times.
+        processes: which of its worlds ran alone.
         now_s: now [s of the Unix epoch].
         is_running: whether the page will be written again.
     """
@@ -90,6 +94,7 @@ def page_of(
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     sections = (
         _results(summary),
+        _processes(processes),
         _causes(summary, progress, {one.cause for one in kept}),
         _kept(folder, plan, kept),
         _curves(summary, progress),
@@ -170,6 +175,20 @@ def _notes(summary: Summary, progress: Progress, is_running: bool) -> str:
 def _results(summary: Summary) -> str:
     rows = [(one.value, summary.counts.get(one, 0)) for one in Result]
     return _section("Results", _table(("result", "worlds"), rows))
+
+
+def _processes(processes: Processes) -> str:
+    """Return which worlds ran alone."""
+    parts = f"<p>{processes.told()}</p>"
+    if processes.batch > 1 and processes.alone:
+        number = counted(len(processes.alone), "world")
+        seeds = ", ".join(map(str, processes.alone[:_SEEDS]))
+        more = len(processes.alone) - _SEEDS
+        parts += (
+            f"<details><summary>{number} alone</summary><p>Seeds {seeds}"
+            f"{f', and {more} more: see --json' if more > 0 else ''}.</p></details>"
+        )
+    return _section("Processes", parts)
 
 
 def _causes(summary: Summary, progress: Progress, kept: set[str]) -> str:

@@ -72,12 +72,21 @@ _ENDINGS: Final = {1: "st", 2: "nd", 3: "rd"}
 
 
 def _frames(one: Disturbance, does: str, do: str) -> str:
-    """Return which frames are hit: "the second frame 581h of left is lost"."""
+    """Return which frames are hit: "the second frame 581h of left is lost".
+
+    They are named by their number, or by the time from which on they are hit.
+    """
     identifier = one.get("identifier")
     what = "transmission" if identifier is None else "frame"
     name = "" if identifier is None else f" {int(one.number('identifier')):X}h"
     place = f"{name} of {one.get('sender')}" + (f" on {one.on}" if identifier is None else "")
-    first, count = int(one.number("skip")) + 1, int(one.number("limit"))
+    count = int(one.number("limit"))
+    if one.get("from_s") is not None:
+        begins = f"{one.number('from_s'):.7g} s"
+        if count == 1:
+            return f"the first {what}{place} from {begins} on {does}"
+        return f"{count} {what}s{place} from {begins} on {do}"
+    first = int(one.number("skip")) + 1
     if count == 1:
         return f"the {_ordinal(first)} {what}{place} {does}"
     return f"the {_ordinal(first)} to {_ordinal(first + count - 1)} {what}s{place} {do}"

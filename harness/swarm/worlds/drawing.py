@@ -1,21 +1,23 @@
 """Drawing of worlds, and their mutation, from a stream of random numbers.
 
 Times are drawn where they matter: half of them anywhere in the run, half around a mark, which is a
-frame with rare bytes, such as a command. Frames to hit are drawn in the same way. A further
-disturbance often accompanies an earlier one: it concerns the same controller, soon after it, while
-the program recovers. A mutation does so even more often.
+command or the answer to one. Frames to hit are drawn in the same way. A further disturbance often
+accompanies an earlier one: it concerns the same controller, soon after it, while the program
+recovers. A mutation does so even more often, and knows the reactions of the program: the marks
+after the disturbances of its parent.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import exp, log
 from random import Random
-from typing import Final
+from typing import Any, Final, final
 
 from motorhil.emulators.can.fault_rules import FrameError
 from motorhil.harness.rig.config.worlds import WEIGHTS, SwarmTable
-from motorhil.harness.swarm.worlds.disturbance import Disturbance, Value, World
-from motorhil.harness.swarm.worlds.profile import Profile, Subject, Traffic
+from motorhil.harness.swarm.worlds.disturbance import Disturbance, Value, World, from_table
+from motorhil.harness.swarm.worlds.marks import Traffic, traffic_from
+from motorhil.harness.swarm.worlds.profile import Profile, Subject
 
 _LIMITS: Final = (1, 1, 1, 2, 3, 5, 12, 40)
 """Frames in a row that are hit: one, or a frame with all its repetitions."""
@@ -25,16 +27,53 @@ _CODES: Final = (0x2310, 0x3210, 0x3220, 0x4310, 0x5441, 0x7300, 0x8611)
 _ALARMS: Final = (0x10, 0x20, 0x21, 0x22)
 _DIGITS: Final = 3
 _ACCOMPANIED: Final = 0.4
-_ACCOMPANIED_MUTANT: Final = 0.7
+_ACCOMPANIED_MUTANT: Final = 0.85
 _ADDS: Final = 4  # of 8
 _AGAIN: Final = 0.5
 """How often a companion tends to be of the same kind: a second fault, a further loss."""
 _MARKED: Final = 0.5
 _SOON_S: Final = 0.5
 """A program recovers from a disturbance in about this time."""
+_REACTING_S: Final = 2.0
+"""Reactions are looked for so long after a disturbance: they may await deadlines before."""
+_STEP_S: Final = 5e-4
+"""The smallest step between two times that are drawn near each other."""
+_AHEAD_S: Final = 2e-4
+"""A fault rule begins so long before the frame that it should hit."""
+_FRAMES_SOON: Final = 30.0
+"""Frames of a stream within about `_SOON_S`."""
+_TIMES: Final = ("at_s", "from_s")
 _ONCE: Final = ("interleaving", "quirk", "clock", "kill")
 """Kinds of which one place has at most one."""
 _Draw = Callable[[Random, Profile, SwarmTable], Disturbance | None]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Parent:
+    """A world that has met something new.
+
+    Attributes:
+        world: its disturbances.
+        reactions: frames of its run; their marks are those after a disturbance struck.
+        reached: number of conditions of `sometimes` that were true.
+    """
+
+    world: World
+    reactions: tuple[Traffic, ...] = ()
+    reached: int = 0
+
+    def as_table(self) -> list[object]:
+        """Return it for JSON."""
+        world, reactions = self.world, self.reactions
+        rows = [one.as_row() for one in reactions]
+        return [[one.as_table() for one in world], rows, self.reached]
+
+
+def parent_from(table: Sequence[Any]) -> Parent:
+    """Return the parent of `as_table`."""
+    world, reactions, reached = table
+    return Parent(tuple(map(from_table, world)), tuple(map(traffic_from, reactions)), reached)
 
 
 def drawn(random: Random, profile: Profile, table: SwarmTable) -> World:
@@ -49,8 +88,10 @@ def drawn(random: Random, profile: Profile, table: SwarmTable) -> World:
     return world
 
 
-def mutated(world: World, random: Random, profile: Profile, table: SwarmTable) -> World:
-    """Return a world that differs from a given one in one or two disturbances."""
+def mutated(parent: Parent, random: Random, profile: Profile, table: SwarmTable) -> World:
+    """Return a world that differs from its parent in one or two disturbances."""
+    world = parent.world
+    profile = replace(profile, reactions=parent.reactions)
     for _ in range(random.choice((1, 1, 2))):
         act = random.randrange(8)
         if act == 0 and len(world) > 1:
@@ -100,27 +141,31 @@ def _added(
 def _around(profile: Profile, one: Disturbance, random: Random) -> Profile:
     """Return the profile as if it were only what happens around a disturbance.
 
-    One half of the time, controllers are restricted to the one concerned.
+    Marks are those of the parent's reactions, if they are known. One half of the time, controllers
+    are restricted to the one concerned.
     """
     at_s = _time_of(profile, one)
-    traffic = profile.traffic
+    traffic, known = profile.traffic, profile.reactions or profile.traffic
+    lasting_s = _REACTING_S if profile.reactions else _SOON_S
     if at_s is not None:
-        near = [replace(stream, marks=_near(stream, at_s)) for stream in traffic]
-        traffic = tuple(stream for stream in near if stream.marks) or traffic
+        near = [replace(stream, marks=_near(stream, at_s, lasting_s)) for stream in known]
+        traffic = tuple(stream for stream in near if stream.marks)
+        traffic = traffic or tuple(replace(stream, marks=()) for stream in profile.traffic)
     subjects = tuple(subject for subject in profile.subjects if subject.name == _concerned(one))
     if not subjects or random.random() < 0.5:
         subjects = profile.subjects
     return replace(profile, traffic=traffic, subjects=subjects, soon_after_s=at_s)
 
 
-def _near(stream: Traffic, at_s: float) -> tuple[tuple[int, float], ...]:
-    return tuple(mark for mark in stream.marks if 0.0 <= mark[1] - at_s <= _SOON_S)
+def _near(stream: Traffic, at_s: float, lasting_s: float) -> tuple[tuple[int, float], ...]:
+    return tuple(mark for mark in stream.marks if 0.0 <= mark[1] - at_s <= lasting_s)
 
 
 def _time_of(profile: Profile, one: Disturbance) -> float | None:
     """Return when a disturbance strikes first, as far as it is known."""
-    if one.get("at_s") is not None:
-        return one.number("at_s")
+    for key in _TIMES:
+        if one.get(key) is not None:
+            return one.number(key)
     skip = one.get("skip")
     for stream in profile.traffic:
         same = (stream.sender, stream.identifier) == (one.get("sender"), one.get("identifier"))
@@ -153,11 +198,15 @@ def _moved(one: Disturbance, random: Random) -> Disturbance:
     key = random.choice(numbers)
     value = one.number(key)
     if key == "skip":
-        return one.with_value(key, max(0, int(value) + random.choice((-3, -2, -1, 1, 2, 3))))
+        step = round(_log_uniform(random, 1.0, _FRAMES_SOON)) * random.choice((-1, 1))
+        return one.with_value(key, max(0, int(value) + step))
     if key == "limit":
         return one.with_value(key, random.choice(_LIMITS))
     if key in ("seed", "bit", "after"):
         return one.with_value(key, int(value) + 1)
+    if key in _TIMES:
+        step_s = _log_uniform(random, _STEP_S, _SOON_S) * random.choice((-1, 1))
+        return one.with_value(key, float(f"{max(0.0, value + step_s):.4f}"))
     return one.with_value(key, _rounded(value * exp(random.gauss(0.0, 0.2))))
 
 
@@ -175,12 +224,17 @@ def _log_uniform(random: Random, low: float, high: float) -> float:
 
 def _moment(random: Random, profile: Profile) -> float:
     """Return a time within the undisturbed run, or soon after a mark [s]."""
-    if profile.soon_after_s is not None:
-        after_s = random.choice((random.uniform(0.0, _SOON_S), _soon(random)))
-        return float(f"{profile.soon_after_s + after_s:.4f}")
     marked = [one for one in profile.traffic if one.marks]
+    if profile.soon_after_s is not None:
+        commands = [one for one in marked if not one.answers]
+        if commands and random.random() < _MARKED:
+            at_s = _next_mark(random, commands)[1] + _log_uniform(random, _STEP_S, _SOON_S)
+        else:
+            after_s = random.choice((random.uniform(0.0, _SOON_S), _soon(random)))
+            at_s = profile.soon_after_s + after_s
+        return float(f"{at_s:.4f}")
     if marked and random.random() < _MARKED:
-        _, at_s = random.choice(random.choice(marked).marks)
+        _, at_s = _mark(random, random.choice(marked).marks)
         after_s = _soon(random)
         return float(f"{max(0.0, at_s + after_s * random.choice((1, 1, 1, -1))):.4f}")
     return float(f"{random.uniform(0.0, profile.end_ns / 1e9):.4f}")
@@ -190,39 +244,78 @@ def _soon(random: Random) -> float:
     return _log_uniform(random, _SOON_S / 100, _SOON_S)
 
 
+def _mark(random: Random, marks: Sequence[tuple[int, float]]) -> tuple[int, float]:
+    """Return a mark: any, or the one nearest to some time, so that crowds do not prevail."""
+    if random.random() < 0.5:
+        return random.choice(marks)
+    at_s = random.uniform(marks[0][1], marks[-1][1])
+    return min(marks, key=lambda mark: abs(mark[1] - at_s))
+
+
+def _next_mark(random: Random, marked: Sequence[Traffic]) -> tuple[Traffic, float]:
+    """Return a stream and the time of one of its marks: half of the time an early one."""
+    marks = [(at_s, place) for place, one in enumerate(marked) for _, at_s in one.marks]
+    marks.sort()
+    rank = random.randrange(len(marks))
+    if random.random() < 0.5:
+        rank = min(rank, int(_log_uniform(random, 1.0, len(marks) + 1.0)) - 1)
+    at_s, place = marks[rank]
+    return marked[place], at_s
+
+
 def _stream_of(random: Random, profile: Profile, lines: bool) -> Traffic | None:
     """Return the frames to hit: each identifier is as likely as any other."""
     some = [one for one in profile.traffic if (one.bus in profile.lines) is lines]
     return random.choice(some) if some else None
 
 
-def _hits(random: Random, one: Traffic) -> tuple[tuple[str, Value], ...]:
-    own: tuple[tuple[str, Value], ...] = (("sender", one.sender),)
-    if one.identifier is not None:
-        own += (("identifier", one.identifier),)
+def _hits(random: Random, profile: Profile, one: Traffic) -> tuple[Traffic, tuple[str, Value]]:
+    """Return the stream to hit, and from which number or time on."""
+    if profile.soon_after_s is not None and one.marks:  # frames have other numbers then
+        at_s = _mark(random, one.marks)[1]
+        if random.random() < _MARKED:
+            some = [two for two in profile.traffic if two.bus == one.bus and two.marks]
+            one, at_s = _next_mark(random, some)
+        return one, ("from_s", float(f"{max(0.0, at_s - _AHEAD_S):.4f}"))
     if one.marks and random.random() < _MARKED:
-        skip, _ = random.choice(one.marks)
-    else:
-        skip = min(int(_log_uniform(random, 1.0, one.frames + 1.0)) - 1, one.frames - 1)
-    return (*own, ("skip", skip), ("limit", random.choice(_LIMITS)))
+        return one, ("skip", _mark(random, one.marks)[0])
+    if random.random() < 0.5:
+        return one, ("from_s", _moment(random, profile))
+    skip = min(int(_log_uniform(random, 1.0, one.frames + 1.0)) - 1, one.frames - 1)
+    return one, ("skip", skip)
 
 
 def _frames(
-    kind: str, lines: bool | None, more: Callable[[Random, SwarmTable], Value | None], key: str = ""
+    kind: str,
+    lines: bool | None,
+    more: Callable[[Random, SwarmTable, bool], Value | None],
+    key: str = "",
 ) -> _Draw:
     def draw(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | None:
-        on_line = bool(profile.lines) and random.random() < 0.5 if lines is None else lines
+        on_line = _is_on_line(random, profile) if lines is None else lines
         one = _stream_of(random, profile, on_line)
         if one is None:
             return None
-        value = more(random, table)
-        extra = () if value is None else ((key, value),)
-        return Disturbance(kind, one.bus, (*_hits(random, one), *extra))
+        one, first = _hits(random, profile, one)
+        values: list[tuple[str, Value]] = [("sender", one.sender)]
+        if one.identifier is not None:
+            values.append(("identifier", one.identifier))
+        values += (first, ("limit", random.choice(_LIMITS)))
+        value = more(random, table, _may_be_late(one))
+        if value is not None:
+            values.append((key, value))
+        return Disturbance(kind, one.bus, tuple(values))
 
     return draw
 
 
-def _nothing(random: Random, table: SwarmTable) -> None:
+def _is_on_line(random: Random, profile: Profile) -> bool:
+    """Return whether to take a line, of a rig with lines and CAN one half of the time."""
+    kinds = {one.bus in profile.lines for one in profile.traffic}
+    return random.random() < 0.5 if len(kinds) > 1 else True in kinds
+
+
+def _nothing(random: Random, table: SwarmTable, may_be_late: bool) -> None:
     return None
 
 
@@ -351,8 +444,21 @@ def _kill(random: Random, profile: Profile, table: SwarmTable) -> Disturbance | 
     return Disturbance("kill", random.choice(profile.programs), (at_s,))
 
 
-def _delay_s(random: Random, table: SwarmTable) -> float:
-    return _log_uniform(random, min(1e-4, table.delay_s), table.delay_s)
+def _may_be_late(one: Traffic) -> bool:
+    """Return whether frames may be later than deadlines.
+
+    Answers may. A late command acts after its program has given up, and a late status that nothing
+    asked for is taken for the present one: no program can tell.
+    """
+    is_asked_for = one.identifier is None or 2 * len(one.marks) >= one.frames
+    return one.answers and is_asked_for
+
+
+def _delay_s(random: Random, table: SwarmTable, may_be_late: bool) -> float:
+    """Return a delay: one half by magnitude, one half evenly, which is often beyond a deadline."""
+    most = table.answer_delay_s if may_be_late else table.delay_s
+    low = min(1e-3, most)
+    return random.choice((_log_uniform(random, low, most), _rounded(random.uniform(low, most))))
 
 
 _DRAWS: Final[Mapping[str, _Draw]] = {
@@ -360,9 +466,9 @@ _DRAWS: Final[Mapping[str, _Draw]] = {
     "delay": _frames("delay", None, _delay_s, "delay_s"),
     "duplicate": _frames("duplicate", False, _nothing),
     "corrupt": _frames("corrupt", None, _nothing),
-    "error": _frames("error", False, lambda random, _: random.choice(_ERRORS), "error"),
+    "error": _frames("error", False, lambda random, *_: random.choice(_ERRORS), "error"),
     "lose": _frames("lose", True, _nothing),
-    "truncate": _frames("truncate", True, lambda random, _: random.randrange(1, 5), "after"),
+    "truncate": _frames("truncate", True, lambda random, *_: random.randrange(1, 5), "after"),
     "cut": _cut,
     "noise": _noise,
     "load": _torque("load", 0.05, 0.8),

@@ -1,18 +1,21 @@
-"""Fairness: which oracles may judge a world.
+"""Fairness: which oracles may judge a world, and which errors may end it.
 
 A disturbance can break a promise by itself: a load that is stronger than the motor moves it at
 rest, and a lost frame is a request without an answer. A delayed statusword reports the state or the
-target of before. A program that starts again and again after the same fault sends its SYNCs in
-equal times, so they look cyclic until it gives up. Such an oracle does not judge such a world.
+target of before. A delayed command arrives after a fault that its sender had not heard of. A
+program that starts again and again after the same fault sends its SYNCs in equal times, so they
+look cyclic until it gives up. Such an oracle does not judge such a world.
+
+A load may push a motor out of the limits of its model. The motor then refuses each further motion,
+because it does not begin within them.
 """
 
 from collections.abc import Collection, Mapping
-from pathlib import Path
 from typing import Final
 
 from motorhil.harness.oracles.judge import IDS
-from motorhil.harness.rig.fragment import read_fragment
-from motorhil.harness.swarm.worlds.disturbance import FRAME_KINDS, World, kinds_in
+from motorhil.harness.swarm.worlds.disturbance import FRAME_KINDS
+from motorhil.motorapi.errors import LimitError
 
 _LOST: Final = (*FRAME_KINDS, "cut", "noise", "power")
 _PUSHED: Final = ("load", "stall", "power", "supply", "fault", "heat")
@@ -28,20 +31,27 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     "sync-period": (*_LOST, *_PUSHED, "quirk", "clock"),
     **dict.fromkeys(("tpdo-times", "error-states", "fault-told"), (*_LOST, "quirk", "clock")),
     **dict.fromkeys(("commands-obeyed", "nmt-obeyed"), (*_LOST, "quirk")),
+    "fault-heeded": ("delay",),
 }
 """By oracle: the kinds of disturbances that can break its promise by themselves."""
 
 
-def fair(world: World) -> tuple[str, ...]:
-    """Return the ids of the oracles that may judge a world."""
-    return _fair({one.kind for one in world})
+_PUSHES: Final = frozenset(("load", "stall"))
+_WHERE_IT_IS: Final = "initial "
+"""Quantities that tell where a motor is, not where it should go, begin with this."""
 
 
-def fair_in(file: Path) -> tuple[str, ...]:
-    """Return the ids of the oracles that may judge the world of a fragment."""
-    return _fair(kinds_in(read_fragment(file).text))
+def is_pushed_out(error: BaseException, kinds: Collection[str]) -> bool:
+    """Return whether a motor refuses to move because a load has pushed it out of its limits.
+
+    Args:
+        error: what ended the program.
+        kinds: the kinds of disturbances of the world.
+    """
+    is_outside = isinstance(error, LimitError) and error.quantity.startswith(_WHERE_IT_IS)
+    return is_outside and not _PUSHES.isdisjoint(kinds)
 
 
-def _fair(kinds: Collection[str]) -> tuple[str, ...]:
-    kinds = frozenset(kinds)
-    return tuple(one for one in IDS if not kinds.intersection(EXCUSES.get(one, ())))
+def fair(kinds: Collection[str]) -> tuple[str, ...]:
+    """Return the ids of the oracles that may judge a world with these kinds of disturbances."""
+    return tuple(one for one in IDS if not frozenset(kinds).intersection(EXCUSES.get(one, ())))

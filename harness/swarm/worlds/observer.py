@@ -2,11 +2,12 @@
 
 An event is a fault that strikes, a stimulus, or a report of a controller, without its numbers. A
 state is that of the controllers concerned, with the event before, or the place in the program that
-waits meanwhile. Pairs of both are the coverage of a campaign. Places are read from the stack when
-an event occurs, so frames cost nothing.
+waits meanwhile. Soon after a disturbance, a command of the program is an event too: its reaction.
+Pairs of both are the coverage of a campaign. Places are read from the stack when an event occurs.
 """
 
 import inspect
+import os
 import re
 import sysconfig
 from collections import Counter
@@ -16,6 +17,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.rig.script import is_own_file
+from motorhil.harness.swarm.worlds.marks import Marks, Traffic
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.rig import Rig
@@ -23,11 +25,19 @@ if TYPE_CHECKING:
 
 _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[+-]?\d+)?\b")
 _FAULT: Final = re.compile(r"(?P<kind>[a-z]+) \d+: (?P<what>[^0-9]*?) ?(?P<id>[0-9A-F]+)?h?")
+_ADU: Final = re.compile(
+    r"(?P<kind>[a-z]+) \d+: [a-z]+ [0-9A-F]{2} (?P<function>[0-9A-F]{2})(?: [0-9A-F]{2})*"
+)
+"""A fault on a line, with the bytes that it strikes: server address, function code, data."""
+_DISTURBED: Final = re.compile(r"((?:stimulus )?[a-z]+)[ \d_a-z]*[:=]")
 _PLACES: Final = 2
 _STDLIB: Final = (sysconfig.get_paths()["stdlib"], "<frozen")
+_INSTALLED: Final = f"{os.sep}site-packages{os.sep}"
 _AT_REST: Final = 1e-3  # [rad/s or m/s]
 _VELOCITIES: Final = ("velocity_rad_s", "velocity_m_s")
 _NOTHING: Final = "the start"
+_REACTING_NS: Final = 2_000_000_000
+"""Commands this long after a disturbance are reactions to it."""
 
 
 @final
@@ -58,11 +68,22 @@ class Observer:
     def __init__(self, rig: "Rig") -> None:
         self.events: list[Event] = []
         self.pairs: dict[str, None] = {}
+        self._struck = ""  # the kind of the last disturbance
+        self._struck_ns: int | None = None  # the first disturbance
+        self._reacts_until_ns = 0
         self._rig = rig
         self._on_bus: dict[str, list[str]] = {name: [] for name in rig.description.buses}
         for one in rig.description.controllers.values():
             self._on_bus[one.bus].append(one.name)
         rig.world.tap_events(self._take)
+        self._marks = Marks(rig.world, rig.description.controllers, self._command)
+
+    def reactions(self) -> tuple[Traffic, ...]:
+        """Return the streams with marks soon after disturbances; () if none has struck."""
+        if self._struck_ns is None:
+            return ()
+        streams = self._marks.traffic(self._struck_ns, self._reacts_until_ns)
+        return tuple(one for one in streams if one.marks)
 
     def before(self, time_ns: int) -> Event | None:
         """Return the last event up to a time, or None."""
@@ -95,6 +116,16 @@ class Observer:
         self.events.append(Event(time_ns, what, state))
         self.pairs[f"{state} after {last} | {what}"] = None
         self.pairs[f"{state} at {place()} | {what}"] = None
+        disturbed = _DISTURBED.match(text)
+        if disturbed is not None:
+            self._struck = disturbed[1]
+            self._struck_ns = time_ns if self._struck_ns is None else self._struck_ns
+            self._reacts_until_ns = time_ns + _REACTING_NS
+
+    def _command(self, identifier: int | None, time_ns: int) -> None:
+        if time_ns <= self._reacts_until_ns:
+            what = "request" if identifier is None else f"command {_function(identifier):X}h"
+            self.pairs[f"{self._struck} at {place(1, False)} | {what}"] = None
 
     def _state(self, name: str) -> str:
         if name not in self._rig.description.controllers:
@@ -110,16 +141,21 @@ def acts_of(world: "World", observers: Iterable[Observer]) -> tuple[tuple[str, i
     return tuple(counts.items())
 
 
-def place() -> str:
-    """Return where the program is: its innermost lines, up to two, as function:line."""
-    lines: list[str] = []
+def place(count: int = _PLACES, with_lines: bool = True) -> str:
+    """Return where the program is: its innermost functions, up to a number, with their lines.
+
+    Libraries that are installed count only if nothing else is on the stack.
+    """
+    own: list[str] = []
+    installed: list[str] = []
     frame: FrameType | None = inspect.currentframe()
-    while frame is not None and len(lines) < _PLACES:
+    while frame is not None and len(own) < count:
         code = frame.f_code
         if not is_own_file(code.co_filename) and not code.co_filename.startswith(_STDLIB):
-            lines.append(f"{code.co_name}:{frame.f_lineno}")
+            found = installed if _INSTALLED in code.co_filename else own
+            found.append(f"{code.co_name}:{frame.f_lineno}" if with_lines else code.co_name)
         frame = frame.f_back
-    return " < ".join(lines) or "-"
+    return " < ".join(own or installed[:count]) or "-"
 
 
 def state_class(truth: Mapping[str, float]) -> str:
@@ -131,12 +167,18 @@ def state_class(truth: Mapping[str, float]) -> str:
 
 def event_class(text: str) -> str:
     """Return the class of an event: its text without numbers of nodes and values."""
+    on_line = _ADU.fullmatch(text)
+    if on_line is not None:
+        return f"{on_line['kind']} request {on_line['function']}h"
     found = _FAULT.fullmatch(text)
     if found is None:
         return _NUMBER.sub("#", text)
     identifier = found["id"]
     if identifier is None:
         return f"{found['kind']}: {found['what']}"
-    number = int(identifier, 16)
-    function = number & ~0x7F if number <= 0x7FF else number >> 8
-    return f"{found['kind']} {function:X}h"
+    return f"{found['kind']} {_function(int(identifier, 16)):X}h"
+
+
+def _function(identifier: int) -> int:
+    """Return the part of an identifier that is the same for all nodes."""
+    return identifier & ~0x7F if identifier <= 0x7FF else identifier >> 8

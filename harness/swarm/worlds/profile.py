@@ -1,8 +1,6 @@
 """Profile of an undisturbed run: what a world can disturb, and when."""
 
-from bisect import bisect_left
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -11,6 +9,7 @@ from motorhil.emulators.controller import Controller, ControllerContext, Setting
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.settings.tables import plant_of
 from motorhil.harness.plugins import CONTROLLERS, named
+from motorhil.harness.swarm.worlds.marks import Marks, Traffic, traffic_from
 
 if TYPE_CHECKING:
     from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
@@ -24,33 +23,10 @@ _STIMULI: Final[Mapping[str, float]] = {
     "fault": 0x5000,
     "alarm": 0x20,
 }
-_MARKS_MAX: Final = 48
-_RARE: Final = 2
-"""A frame is marked if its bytes come that often at most."""
 _VARIED: Final = (
     *("resistance_ohm", "torque_constant_n_m_a", "rotor_inertia_kg_m2", "coulomb_friction_n_m"),
     *("viscous_friction_n_m_s_rad", "load_inertia_kg_m2"),
 )
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Traffic:
-    """Frames of one identifier from one sender, or all transmissions of a sender on a line.
-
-    Attributes:
-        bus: the bus or line.
-        sender: the sender's name, as faults name it.
-        identifier: the CAN identifier; None on a line.
-        frames: number of frames in the undisturbed run.
-        marks: number and time [s] of commands, whose bytes are rare, or of the answers to them.
-    """
-
-    bus: str
-    sender: str
-    identifier: int | None
-    frames: int
-    marks: tuple[tuple[int, float], ...] = ()
 
 
 @final
@@ -92,6 +68,7 @@ class Profile:
         parties: True if several parties take turns.
         programs: programs of the rig that share its time, which can be killed.
         soon_after_s: draw times soon after this one [s]; None: anywhere.
+        reactions: traffic of a disturbed run, with marks after disturbances; (): unknown.
     """
 
     end_ns: int
@@ -101,10 +78,11 @@ class Profile:
     parties: bool
     programs: tuple[str, ...] = ()
     soon_after_s: float | None = None
+    reactions: tuple[Traffic, ...] = ()
 
     def as_table(self) -> dict[str, object]:
         """Return it for JSON."""
-        return asdict(self)
+        return {**asdict(self), "traffic": [one.as_row() for one in self.traffic]}
 
 
 def profile_from(table: Mapping[str, Any]) -> Profile:
@@ -112,10 +90,7 @@ def profile_from(table: Mapping[str, Any]) -> Profile:
     return Profile(
         table["end_ns"],
         tuple(table["lines"]),
-        tuple(
-            Traffic(**{**one, "marks": tuple((number, at_s) for number, at_s in one["marks"])})
-            for one in table["traffic"]
-        ),
+        tuple(map(traffic_from, table["traffic"])),
         tuple(
             Subject(
                 **{
@@ -138,9 +113,7 @@ class Profiler:
 
     def __init__(self, rig: "Rig") -> None:
         self._rig = rig
-        self._heard: dict[_Stream, list[tuple[int, bytes]]] = {}
-        rig.world.tap_frames(self._frame)
-        rig.world.tap_lines(self._adu)
+        self._marks = Marks(rig.world, rig.description.controllers)
 
     def profile(self) -> Profile:
         """Return what was seen, up to now."""
@@ -149,71 +122,11 @@ class Profiler:
         return Profile(
             self._rig.runtime.now_ns(),
             lines,
-            tuple(self._traffic(*key) for key in self._heard),
+            self._marks.traffic(),
             subjects_of(description),
             self._rig.runtime.had_parties(),
             tuple(one.name for one in description.programs.values() if one.joins),
         )
-
-    def _traffic(self, bus: str, sender: str, identifier: int | None) -> Traffic:
-        heard = self._heard[bus, sender, identifier]
-        if sender in self._rig.description.controllers:
-            rare = _after(heard, [one for key in self._commands(bus) for one in _rare(key)])
-        else:
-            rare = _rare(heard)
-        return Traffic(bus, sender, identifier, len(heard), _thinned(rare))
-
-    def _commands(self, bus: str) -> list[list[tuple[int, bytes]]]:
-        """Return the streams of a bus that no controller sends."""
-        controllers = self._rig.description.controllers
-        return [
-            heard
-            for key, heard in self._heard.items()
-            if key[0] == bus and key[1] not in controllers
-        ]
-
-    def _frame(self, bus: str, time_ns: int, sender: str, frame: bytes) -> None:
-        key = (bus, sender, int.from_bytes(frame[:4], "little") & 0x1FFF_FFFF)
-        self._heard.setdefault(key, []).append((time_ns, frame))
-
-    def _adu(
-        self,
-        line: str,
-        now_ns: int,
-        begin_ns: int,
-        end_ns: int,
-        sender: str,
-        adu: bytes,
-        *_: object,
-    ) -> None:
-        self._heard.setdefault((line, sender, None), []).append((begin_ns, adu))
-
-
-_Stream = tuple[str, str, int | None]
-
-
-def _rare(heard: Sequence[tuple[int, bytes]]) -> list[tuple[int, float]]:
-    """Return number and time of the frames whose bytes are rare."""
-    counts = Counter(data for _, data in heard)
-    return [
-        (number, round(time_ns / 1e9, 4))
-        for number, (time_ns, data) in enumerate(heard)
-        if counts[data] <= _RARE
-    ]
-
-
-def _after(
-    heard: Sequence[tuple[int, bytes]], commands: Sequence[tuple[int, float]]
-) -> list[tuple[int, float]]:
-    """Return number and time of the first frame after each command."""
-    times = [round(time_ns / 1e9, 4) for time_ns, _ in heard]
-    numbers = sorted({bisect_left(times, at_s) for _, at_s in commands})
-    return [(number, times[number]) for number in numbers if number < len(times)]
-
-
-def _thinned(marks: Sequence[tuple[int, float]]) -> tuple[tuple[int, float], ...]:
-    step = -(-len(marks) // _MARKS_MAX) or 1
-    return tuple(marks[step - 1 :: step])
 
 
 def subjects_of(description: "RigDescription") -> tuple[Subject, ...]:

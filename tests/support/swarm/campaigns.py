@@ -7,7 +7,8 @@ from motorhil.harness.swarm.plan import FUNCTION, Plan, Program
 from motorhil.harness.swarm.results import Results, create
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.worlds.disturbance import Disturbance
-from motorhil.harness.swarm.worlds.profile import Profile, Subject, Traffic
+from motorhil.harness.swarm.worlds.marks import Traffic
+from motorhil.harness.swarm.worlds.profile import Profile, Subject
 
 HASTY = """\
 from math import pi

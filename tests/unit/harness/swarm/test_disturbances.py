@@ -12,7 +12,7 @@ from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.config.worlds import UNDECLARED, WEIGHTS
 from motorhil.harness.rig.rig import Rig, installed_plugins
 from motorhil.harness.swarm.worlds.disturbance import Disturbance, fragment, from_table
-from motorhil.harness.swarm.worlds.drawing import drawn, mutated
+from motorhil.harness.swarm.worlds.drawing import Parent, drawn, mutated
 from motorhil.harness.swarm.worlds.profile import Profile, Traffic, subjects_of
 
 RIG = EXAMPLES / "two_wheels.toml"
@@ -38,7 +38,7 @@ def worlds(count):
     for seed in range(count):
         world = drawn(Random(seed), PROFILE, UNDECLARED)
         yield world
-        yield mutated(world, Random(-seed), PROFILE, UNDECLARED)
+        yield mutated(Parent(world), Random(-seed), PROFILE, UNDECLARED)
 
 
 def test_a_lost_answer_is_a_fault_of_the_rig():

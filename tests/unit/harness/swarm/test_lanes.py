@@ -54,3 +54,20 @@ def test_the_canary_teaches_nothing():
     lane.learn(Row(CANARY, Result.FAILED, new=("a pair",), world=run(Lane(), [3])[0]))
     assert (dict(lane.seen), lane.corpus) == ({}, [])
     assert lane_of(CANARY) == 0
+
+
+def test_parents_are_rather_worlds_that_reached_a_condition():
+    lane = Lane()
+    plain, rare = (run(Lane(), [seed])[0] for seed in (3, 19))
+    for number, world in enumerate((*[plain] * 5, rare, *[plain] * 4)):
+        met = (("a retry", int(world == rare)), ("a stop", 0))
+        row = Row(3 + number * LANES, Result.PASSED, new=(f"pair {number}",), met=met, world=world)
+        lane.learn(row)
+    shares = {
+        world: sum(
+            any(one in world for one in lane.world(seed, PROFILE, UNDECLARED))
+            for seed in range(3 + LANES, 3 + 400 * LANES, 4 * LANES)
+        )
+        for world in (plain, rare)
+    }
+    assert shares[rare] * 9 > 2 * shares[plain] > 0

@@ -1,15 +1,13 @@
 """Classes of events and states, and which oracles may judge a world."""
 
-from dataclasses import replace
-
 import pytest
 
 from motorhil.harness.oracles.judge import IDS
 from motorhil.harness.rig.config.worlds import WEIGHTS
 from motorhil.harness.swarm import properties
-from motorhil.harness.swarm.worlds.disturbance import Disturbance
-from motorhil.harness.swarm.worlds.fairness import EXCUSES, fair
+from motorhil.harness.swarm.worlds.fairness import EXCUSES, fair, is_pushed_out
 from motorhil.harness.swarm.worlds.observer import event_class, state_class
+from motorhil.motorapi.errors import LimitError
 
 
 @pytest.mark.parametrize(
@@ -19,6 +17,8 @@ from motorhil.harness.swarm.worlds.observer import event_class, state_class
         ("drop 1: drop 582h", "drop 580h"),
         ("delay 1: delay 181h", "delay 180h"),
         ("cut 1: begins", "cut: begins"),
+        ("lose 1: lose 01 10 62 00 00 08 DE 77", "lose request 10h"),
+        ("truncate 1: truncate 02 03", "truncate request 03h"),
         ("stimulus load_torque_n_m = -12.5", "stimulus load_torque_n_m = #"),
         ("fault 8611h (following error)", "fault 8611h (following error)"),
     ],
@@ -50,9 +50,27 @@ def test_excuses_name_oracles_and_kinds_that_exist():
 
 
 def test_a_load_excuses_a_limit_and_no_protocol():
-    world = (Disturbance("load", "left", (("value", 1.0),)),)
-    assert "limit-velocity" not in fair(world)
-    assert {"pds-legal", "one-sender", "owner-commands"} <= set(fair(world))
+    found = fair({"load"})
+    assert "limit-velocity" not in found
+    assert {"pds-legal", "one-sender", "owner-commands"} <= set(found)
+
+
+def outside(quantity):
+    return LimitError(motor="mast", quantity=quantity, value=9.0, low=-1.7, high=1.7, unit="rad")
+
+
+@pytest.mark.parametrize(
+    ("error", "kinds", "expected"),
+    [
+        (outside("initial position"), ("drop", "stall"), True),
+        (outside("initial position"), ("load",), True),
+        (outside("initial position"), ("drop", "fault"), False),  # nothing pushes
+        (outside("target position"), ("stall",), False),  # the program's own mistake
+        (ValueError("initial position"), ("stall",), False),
+    ],
+)
+def test_motor_that_was_pushed_out_may_refuse(error, kinds, expected):
+    assert is_pushed_out(error, kinds) is expected
 
 
 def test_always_raises_and_names_the_promise():
@@ -71,9 +89,6 @@ def test_sometimes_counts_what_was_true_and_what_never_was():
 
 
 def test_late_statusword_accuses_no_drive():
-    late = Disturbance(
-        "delay", "can0", (("sender", "left"), ("identifier", 0x181), ("delay_s", 0.1))
-    )
     judged_by_position_or_state = {"arrival-true", "pds-legal"}
-    assert judged_by_position_or_state.isdisjoint(fair((late,)))
-    assert judged_by_position_or_state <= set(fair((replace(late, kind="drop"),)))
+    assert judged_by_position_or_state.isdisjoint(fair({"delay"}))
+    assert judged_by_position_or_state <= set(fair({"drop"}))

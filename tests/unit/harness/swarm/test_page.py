@@ -12,13 +12,15 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.kept import keep, record_of
 from motorhil.harness.swarm.plan import Program
 from motorhil.harness.swarm.report.page import page_of, write_page
+from motorhil.harness.swarm.report.processes import Processes, processes_of
 from motorhil.harness.swarm.report.progress import Progress
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.summary import summary_of
 from tests.support.recordings.handmade import Recorded
-from tests.support.swarm.campaigns import FOUND, PLAN, failure
+from tests.support.swarm.campaigns import FOUND, PLAN, PROFILE, failure, written
 
 NOW = 1_796_000_000.0
+ALONE = Processes()
 VOID = {"meta", "link", "br"}
 ROWS = [
     FOUND,
@@ -58,8 +60,8 @@ class Page(HTMLParser):
         return "|".join(text.strip() for text in self.texts if text.strip())
 
 
-def page(tmp_path, rows=ROWS, kept=(), plan=PLAN, progress=None, **options):
-    given = tmp_path, plan, summary_of(rows), kept, progress or Progress(), NOW
+def page(tmp_path, rows=ROWS, kept=(), plan=PLAN, progress=None, processes=ALONE, **options):
+    given = tmp_path, plan, summary_of(rows), kept, progress or Progress(), processes, NOW
     return page_of(*given, **options)
 
 
@@ -93,6 +95,32 @@ def test_page_of_empty_campaign_is_whole(tmp_path):
     found = Page(page(tmp_path, []))
     assert "canary|has not run yet" in found.text
     assert "No world has failed" in found.text
+
+
+def test_page_says_which_worlds_ran_alone(tmp_path):
+    rows = [Row(seed, Result.PASSED) for seed in (3, 8, 16, 19, 24, 35)]
+    rows += [Row(CANARY, Result.FAILED), failure(51), Row(67, Result.KILLED)]
+    processes = processes_of(PLAN, written(tmp_path / "batches", rows))
+    assert processes == Processes(32, (16, 24, 51, 67))  # 8 and 24 share a process
+    text = Page(page(tmp_path, rows, processes=processes)).text
+    assert "Up to 32 worlds have shared a process." in text
+    assert "4 worlds alone|Seeds 16, 24, 51, 67." in text
+
+
+def test_page_says_that_a_program_keeps_state(tmp_path):
+    results = written(tmp_path / "state", [Row(19, Result.PASSED), Row(35, Result.PASSED)])
+    results.begin_alone(Row(35, Result.FAILED), (1, 1))
+    results.append([Row(35, Result.FAILED)])
+    text = Page(page(tmp_path, processes=processes_of(PLAN, results))).text
+    assert "The result of seed 35 depends on the worlds before it. The program keeps" in text
+
+
+def test_page_of_long_worlds_says_that_each_ran_alone(tmp_path):
+    long = replace(PROFILE, traffic=(replace(PROFILE.traffic[0], frames=20_000),))
+    plan = replace(PLAN, profile=long)
+    text = Page(page(tmp_path, processes=processes_of(plan, written(tmp_path / "x", ROWS)))).text
+    assert "Each world has run in a process of its own." in text
+    assert "worlds alone" not in text
 
 
 def test_running_page_loads_itself_again_and_says_so(tmp_path):

@@ -9,6 +9,7 @@ from motorhil.harness.swarm.worlds.disturbance import Disturbance
 from tests.support.swarm.campaigns import CUT, DROP, failure
 
 HIT = {"sender": "left", "identifier": 0x581, "skip": 1, "limit": 1}
+SINCE = {"sender": "host", "identifier": 0x301, "from_s": 1.0823, "limit": 1}
 SENT = {"sender": "host", "skip": 11, "limit": 3}
 SPAN = {"at_s": 0.5, "for_s": 0.0025}
 SENTENCES = [
@@ -16,6 +17,8 @@ SENTENCES = [
     ("drop", "can0", {**HIT, "limit": 3}, "the second to fourth frames 581h of left are lost"),
     ("drop", "can0", {**HIT, "skip": 10}, "the 11th frame 581h of left is lost"),
     ("drop", "can0", {**HIT, "skip": 21}, "the 22nd frame 581h of left is lost"),
+    ("drop", "can0", SINCE, "the first frame 301h of host from 1.0823 s on is lost"),
+    ("drop", "can0", {**SINCE, "limit": 3}, "3 frames 301h of host from 1.0823 s on are lost"),
     (
         "delay",
         "can0",
