@@ -22,7 +22,7 @@ start writes all its settings.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
 from math import isfinite
 from typing import Final, final
@@ -161,7 +161,12 @@ class LogicalMotor:
         self.require_open()
         with self.physical.interrupt(self.name):
             status = self.status()
-            self.hooks.connect()
+            try:
+                self.hooks.connect()
+            except LinkError:
+                with suppress(MotorError):
+                    stop()  # it may hear us; or its adaptation repeats the stop when it can
+                raise
             stop()
             self._coast = Rest(self.model)
             self.run = ActiveMotion(

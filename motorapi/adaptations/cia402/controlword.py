@@ -71,6 +71,8 @@ def stop_sender(
 class StopRepetition:
     """A repeated stop, sent until `watch` sees its end or it is cancelled.
 
+    While the bus is off nothing can be sent, so the repetition goes on until it has recovered.
+
     Any program may stop a drive without owning it. But a former owner that stopped the drive and
     has lost it since must not stop its new owner unknowingly.
 
@@ -115,7 +117,11 @@ class StopRepetition:
         self._was_enabled = True
         try:
             self._send(self._fence)
-        except (LinkError, MotorBusyError):
+        except LinkError:
+            if not node.link.status.is_off:
+                self.cancel()
+            self._left += 1  # not sent
+        except MotorBusyError:
             self.cancel()
 
     def cancel(self) -> None:
@@ -312,10 +318,12 @@ class DriveControl:
         self._end_repetition()
         self._word = word
         send = stop_sender(self.node, self._physical, self._control_id(), word)
-        send(None)
-        self._overwrite_latch(None)
-        if watch is not None:
-            self._repetition = StopRepetition(self.node, watch, self.fence, send)
+        try:
+            send(None)
+            self._overwrite_latch(None)
+        finally:  # on a bus that is off, the first repetition after its recovery stops the drive
+            if watch is not None:
+                self._repetition = StopRepetition(self.node, watch, self.fence, send)
 
     def _end_repetition(self) -> None:
         if self._repetition is not None:

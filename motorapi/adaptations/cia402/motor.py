@@ -52,6 +52,7 @@ from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.api.registration import Shared, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
+    LinkError,
     MotionInterrupted,
     MotorError,
     PeerError,
@@ -140,7 +141,10 @@ class JointStop:
     def _look(self) -> None:
         self._looks += 1
         if self._sync is None and all(sent.time_ns is not None for _, _, sent in self._armed):
-            self._sync = self._bus.sync.send()
+            try:
+                self._sync = self._bus.sync.send()
+            except LinkError:
+                self._looks = _LOOKS_MAX
         is_latched = self._sync is not None and self._sync.time_ns is not None
         if is_latched or self._looks >= _LOOKS_MAX:
             self._halt_at_once()
@@ -155,7 +159,8 @@ class JointStop:
                 if hardware.node.watch is watch:  # else it received another command meanwhile
                     if self._sync is not None:
                         hardware.control.has_started()
-                    hardware.control.send_halt(watch)
+                    with suppress(LinkError):  # repeated once the bus has recovered
+                        hardware.control.send_halt(watch)
         finally:
             self._turn.__exit__(None, None, None)
 
@@ -166,7 +171,7 @@ def joint_stop_of(bus: CanopenBus) -> JointStop | None:
     if stop is not None:
         return stop
     link, sync = bus.link, bus.sync
-    if not link.confirms or sync.latching or sync.cyclic() is not None:
+    if not link.confirms or link.status.is_off or sync.latching or sync.cyclic() is not None:
         return None
     turn = sync.turns.at_once(link.runtime, f"a stop of several on {link.name}")
     if not turn.__enter__():
@@ -420,8 +425,10 @@ class Cia402Motor(Motor):
         needs_bit = any(self._control.is_in(mode) for mode in _SHOWS_REST)
         watch = self._watch_rest(needs_bit=needs_bit)
         if self._node.state is PdsState.OPERATION_ENABLED:
-            self._control.send_halt(watch)
-            self._hardware.end_stream(ENABLE_OPERATION | HALT)
+            try:
+                self._control.send_halt(watch)
+            finally:
+                self._hardware.end_stream(ENABLE_OPERATION | HALT)
         else:
             self._stop_if_enabled(ENABLE_OPERATION | HALT, watch)
 
@@ -453,8 +460,10 @@ class Cia402Motor(Motor):
         watch = self._watch_rest(needs_bit=False)
         if self._node.state is PdsState.OPERATION_ENABLED:
             self._hardware.quick_stopped = True
-            self._control.send_quick_stop(watch)
-            self._hardware.end_stream(QUICK_STOP)
+            try:
+                self._control.send_quick_stop(watch)
+            finally:
+                self._hardware.end_stream(QUICK_STOP)
         else:
             self._stop_if_enabled(QUICK_STOP, watch)
 

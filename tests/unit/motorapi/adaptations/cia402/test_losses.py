@@ -6,6 +6,7 @@ from contextlib import suppress
 import can
 import pytest
 
+from motorhil.emulators.can.error_confinement import ErrorState
 from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.can.frame import pack
 from motorhil.harness.rig.config.scaffold import EXAMPLES
@@ -13,6 +14,7 @@ from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted
+from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.state import MotorState
 from motorhil.motorapi.trajectory import ComplexTrajectory, TrapezoidalTrajectory
@@ -260,3 +262,41 @@ def test_stop_of_a_drive_that_another_program_has_switched_off_enables_nothing(s
         for _ in range(30):
             rig.runtime.run_for(0.1)
             assert rig.controllers["left"].snapshot()["state"] == off
+
+
+def bus_off(rig):
+    """Let the host go bus-off, by errors in its frames; it recovers by itself."""
+    rig.faults.inject("can0", FaultRule("off", FaultKind.ERROR, ports=("host",), bit=40))
+    rig.runtime.wait_until(
+        lambda: rig.faults.bus_state("can0")["host"].state is ErrorState.BUS_OFF, 1.0
+    )
+    rig.faults.lift("can0", "off")
+    assert rig.faults.bus_state("can0")["host"].state is ErrorState.BUS_OFF
+
+
+def stop_both(motor):
+    """Stop the motor with its group."""
+    MotorGroup(motor).stop()
+
+
+@pytest.mark.parametrize("stop", [Motor.stop, Motor.quick_stop, stop_both])
+@pytest.mark.parametrize("is_streamed", [False, True])
+def test_stop_asked_for_while_the_bus_is_off_reaches_the_drive_after_it(stop, is_streamed):
+    with Rig.open(EXAMPLES / "two_wheels.toml") as rig:
+        motor = rig.motors["left"]
+        motor.enable()
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        far = quintic(6.0, 8.0) if is_streamed else None
+        motor.set_trajectory(
+            TrapezoidalTrajectory(12.0) if far is None else ComplexTrajectory(far, relative=True)
+        )
+        motor.start()
+        rig.runtime.run_for(0.4)
+        bus_off(rig)
+        with pytest.raises(LinkError, match="bus-off"):
+            stop(motor)
+        rig.runtime.run_for(0.7)
+        there = rig.controllers["left"].snapshot()
+        assert motor.fault() is None
+        assert there["velocity_rad_s"] == 0.0
+        assert there["position_rad"] < 5.0
