@@ -3,14 +3,13 @@
 A twin of each controller names its inputs, and shows which values they take.
 """
 
-from collections.abc import Mapping
 from typing import Any, Final
 
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.plant.dc_motor import MotorPlant
-from motorhil.emulators.settings.tables import plant_of
 from motorhil.harness.rig.acts import Acts
 from motorhil.harness.rig.config.buses import MODBUS_TCP, BusDescription
+from motorhil.harness.rig.config.derived import plant_in
 from motorhil.harness.rig.config.faults import (
     HOST,
     KINDS,
@@ -19,7 +18,7 @@ from motorhil.harness.rig.config.faults import (
     FaultTable,
 )
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
-from motorhil.settings import SettingError, declaration
+from motorhil.settings import declaration
 
 _KNOWN: Final = "known: "  # Controller.stimulate: ValueError names the known ones
 _UNITS: Final = (("_n_m", "N·m"), ("_v", "V"), ("_c", "°C"), ("_a", "A"), ("_n", "N"))
@@ -51,7 +50,7 @@ def elements_of(description: RigDescription, acts: Acts) -> dict[str, Any]:
 
 def _inputs(twin: Controller, described: ControllerDescription) -> list[dict[str, Any]]:
     """Return the inputs of a controller: name, kind, unit, usual range and value at rest."""
-    plant = _plant(described)
+    plant = plant_in(described)
     found = []
     for name in names_of(twin):
         low, high, rest = _range(name, plant)
@@ -112,17 +111,6 @@ def _range(name: str, plant: MotorPlant | None) -> tuple[float, float, float]:
     if plant is not None:
         torque = plant.torque_constant_n_m_a * plant.current_max_a * plant.gear_ratio
     return -2.0 * torque, 2.0 * torque, 0.0 if plant is None else plant.load_torque_n_m
-
-
-def _plant(one: ControllerDescription) -> MotorPlant | None:
-    """Return the numbers of the plant, or None if they are not in the rig alone."""
-    table = one.settings.get("plant")
-    if one.plants_from_model or not isinstance(table, Mapping):
-        return None
-    try:
-        return plant_of(table)
-    except SettingError:
-        return None
 
 
 def _bus(description: RigDescription, bus: BusDescription) -> dict[str, Any]:

@@ -22,7 +22,9 @@ from motorhil.emulators.cia402.quirks import QuirkyWire
 from motorhil.emulators.cia402.settings import DriveSettings
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.firmware.clock import LateWakes, OwnTime
+from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.presets import PRESETS
+from motorhil.emulators.settings.tables import plant_of
 from motorhil.harness.rig.config.rig_file import (
     ControllerDescription,
     MotorDescription,
@@ -30,10 +32,21 @@ from motorhil.harness.rig.config.rig_file import (
 )
 from motorhil.harness.rig.config.toml import replaced
 from motorhil.motorapi.model import MotionKind, MotorModel
-from motorhil.settings import KeyPath, dotted, flag, read
+from motorhil.settings import KeyPath, SettingError, dotted, flag, read
 
 _TURN_RAD: Final = 6.283185307179586
 _WHOLE_TOLERANCE: Final = 1e-3  # increments per turn: models are written with a few digits
+
+
+def plant_in(controller: ControllerDescription) -> MotorPlant | None:
+    """Return the numbers of a controller's plant, or None if they are not in the rig alone."""
+    table = controller.settings.get("plant")
+    if controller.plants_from_model or not isinstance(table, Mapping):
+        return None
+    try:
+        return plant_of(table)
+    except SettingError:
+        return None
 
 
 def settings_with_model(

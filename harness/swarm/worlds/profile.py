@@ -5,10 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorhil.emulators.cia402.settings import CATALOGUE
-from motorhil.emulators.controller import Controller, ControllerContext, SettingError
-from motorhil.emulators.plant.dc_motor import MotorPlant
-from motorhil.emulators.settings.tables import plant_of
+from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.harness.plugins import CONTROLLERS, named
+from motorhil.harness.rig.config.derived import plant_in
 from motorhil.harness.swarm.worlds.marks import Marks, Traffic, traffic_from
 
 if TYPE_CHECKING:
@@ -136,7 +135,7 @@ def subjects_of(description: "RigDescription") -> tuple[Subject, ...]:
 
 def _subject(description: "RigDescription", one: "ControllerDescription") -> Subject:
     core = _built(description, one, {})
-    plant = _plant(one)
+    plant = plant_in(one)
     return Subject(
         one.name,
         one.bus,
@@ -155,17 +154,6 @@ def _subject(description: "RigDescription", one: "ControllerDescription") -> Sub
         else plant.torque_constant_n_m_a * plant.current_max_a * plant.gear_ratio,
         0.0 if plant is None else plant.supply_v,
     )
-
-
-def _plant(one: "ControllerDescription") -> MotorPlant | None:
-    """Return the numbers of the plant, or None if they are not in the rig alone."""
-    table = one.settings.get("plant")
-    if one.plants_from_model or not isinstance(table, Mapping):
-        return None
-    try:
-        return plant_of(table)
-    except SettingError:
-        return None
 
 
 def _built(
