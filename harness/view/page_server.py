@@ -5,7 +5,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from secrets import token_urlsafe
 from socket import AF_INET, AF_INET6
 from threading import Thread
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 from motorhil.harness.view.access import LOOPBACK, Access
 
@@ -68,7 +68,7 @@ class PageHandler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version = "motorhil"
     sys_version = ""
-    timeout = STALLED_S
+    timeout: ClassVar[float | None] = STALLED_S
 
     def log_message(self, format: str, *args: object) -> None:
         """Print nothing: the address has the token in it."""
