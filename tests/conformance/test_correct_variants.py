@@ -85,6 +85,7 @@ ONCE_ACCUSED = [
     ("no TPDOs", "PROC-14", 1),  # it ignored the stop of a program that had not seen it enabled
     ("busy bus", "LEAD-01", 3),  # it said that its leader is heard too seldom for such a velocity
     ("quirk slow_sdo", "LEAD-01", 7),  # velocities in steps, of which twelve scatter
+    ("quirk slow_sdo", "LEAD-01", 24),
     ("quirk slow_sdo", "TRAJ-02", 6),  # start() had heard of it 1 ms late
     ("position limits in the drive", "MEAS-06", 1),  # they keep it from the end of its counter
     ("brakes gently", "TIME-01", 6),  # of a load whose least urgent message waits very long
