@@ -24,7 +24,7 @@ EXCUSES: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("limit-torque", "following-bounded", "rest-when-told"), _PUSHED),
     "arrival-true": (*_PUSHED, "quirk", "delay"),
     "pds-legal": ("quirk", "delay"),
-    **dict.fromkeys(("mode-signs", "errors-listed"), ("quirk",)),
+    **dict.fromkeys(("mode-signs", "errors-listed", "one-sender"), ("quirk",)),
     **dict.fromkeys(("sdo-answered", "sdo-refusals"), (*_LOST, "quirk")),
     **dict.fromkeys(("heartbeat-kept", "no-reboot"), (*_LOST, "quirk", "clock", "kill")),
     **dict.fromkeys(("drive-answered", "one-drive"), (*_LOST, "quirk")),

@@ -55,6 +55,11 @@ def test_a_load_excuses_a_limit_and_no_protocol():
     assert {"pds-legal", "one-sender", "owner-commands"} <= set(found)
 
 
+def test_quirk_that_sends_on_the_identifier_of_another_drive_is_excused():
+    assert "one-sender" not in fair({"quirk"})  # stray_emcy: 081h, whatever the node-ID
+    assert "one-sender" in fair({"noise", "clock", "kill"})
+
+
 def outside(quantity):
     return LimitError(motor="mast", quantity=quantity, value=9.0, low=-1.7, high=1.7, unit="rad")
 
