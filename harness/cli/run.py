@@ -52,8 +52,8 @@ the script.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `run`."""
     parser.usage = (
-        "motorhil run [-h] [--realtime] [--pace X] [--view] [--paused] [--seed N] [--until S] "
-        "[--world FILE] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
+        "motorhil run [-h] [--realtime] [--pace X] [--view] [--foxglove PORT] [--paused] "
+        "[--seed N] [--until S] [--world FILE] [-o FILE] RIG [SCRIPT [ARGS ...]] [-- ARGS ...]"
     )
     parser.epilog = _EPILOG
     parser.add_argument(
