@@ -85,6 +85,7 @@ class Brake:
         while self._channel.inbox:
             self._channel.answer(self._channel.inbox.popleft().get("id"), "rig: the run is over")
         self._tell()
+        self._channel.finish()
 
     # ---------------------------------------------------------------------------------- inside
 

@@ -16,6 +16,7 @@ _CHUNK: Final = 65_536
 _LINE_MAX: Final = 16_384  # bytes of a request
 _INBOX_MAX: Final = 64
 _UNSENT_MAX: Final = 4_000_000  # bytes that a server has not read
+_LOOKS: Final = 10  # at the end
 
 
 @final
@@ -65,6 +66,14 @@ class Channel:
         """Tell the present state; an older one that is not sent yet is dropped."""
         self._state = json.dumps({"state": state}).encode() + b"\n"
         self._send()
+
+    def finish(self) -> None:
+        """Wait a second at most until a server that reads slowly has everything."""
+        for _ in range(_LOOKS):
+            self._send()
+            if not self.is_open or not (self._unsent or self._state):
+                return
+            select.select((), (self._answers,), (), 1.0 / _LOOKS)
 
     def _append(self, message: Mapping[str, Any]) -> None:
         if len(self._unsent) < _UNSENT_MAX:

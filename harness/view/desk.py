@@ -96,6 +96,8 @@ class Desk:
             else:
                 self._state = told["state"]
                 self.revision += 1
+                if self._state.get("over"):
+                    self._refuse_all()  # the rig reads no more of them
             self._condition.notify_all()
         self._changed()
 
@@ -104,9 +106,12 @@ class Desk:
         with self._condition:
             self._state = {**self._state, "over": True}
             self.revision += 1
-            self._answers = {
-                number: _OVER if answer is None else answer
-                for number, answer in self._answers.items()
-            }
+            self._refuse_all()
             self._condition.notify_all()
         self._changed()
+
+    def _refuse_all(self) -> None:
+        """Refuse the requests that are not answered."""
+        self._answers = {
+            number: _OVER if answer is None else answer for number, answer in self._answers.items()
+        }

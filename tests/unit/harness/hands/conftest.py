@@ -48,6 +48,9 @@ class Script:
     def tell_elements(self, elements):
         self.elements = elements
 
+    def finish(self):
+        self.is_finished = True
+
     def tell_state(self, state):
         self.states.append(state)
 

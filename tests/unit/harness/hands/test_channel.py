@@ -2,6 +2,7 @@
 
 import json
 import os
+import threading
 
 import pytest
 
@@ -51,6 +52,23 @@ def test_answers_and_states_are_lines(pipes):
         {"id": 4, "problem": "no"},
         {"state": {"b": 2}},
     ]
+
+
+def test_server_that_reads_late_gets_the_last_state_at_the_end(pipes):
+    channel, _, from_rig, _ = pipes
+    channel.tell_elements({"text": "x" * 200_000})  # more than a pipe holds
+    channel.tell_state({"over": True})
+    found = bytearray()
+
+    def read():
+        while found.count(b"\n") < 2:
+            found.extend(os.read(from_rig, 1 << 16))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    channel.finish()
+    reader.join()
+    assert json.loads(found.splitlines()[-1]) == {"state": {"over": True}}
 
 
 def test_server_that_does_not_read_gets_the_latest_state(pipes):

@@ -81,3 +81,10 @@ def test_end_of_the_rig_answers_what_waits():
     assert rig.desk.post(b"{}", 60.0) == (400, "rig: the run is over")
     assert rig.desk.post(b"{}", 60.0) == (400, "rig: the run is over")
     assert json.loads(rig.desk.state())["over"] is True
+
+
+def test_request_that_the_rig_has_not_read_is_refused_at_the_end_of_the_run():
+    rig = Rig(problem=None)
+    over = {"state": {"over": True}}
+    rig.desk._send = lambda line: threading.Thread(target=rig.tell, args=(over,)).start()
+    assert rig.desk.post(b"{}", 60.0) == (400, "rig: the run is over")
