@@ -13,6 +13,7 @@ from motorhil.harness.hands.hands import Hands, RefusedError, checked
 from motorhil.harness.hands.requests import ACTS, Continue, Request, Speed, Step, Stop
 
 _LOOK_S: Final = 0.1
+_OFTEN_NS: Final = 5_000_000  # of wall time between two looks, while events are due
 _SELDOM: Final = 64  # events between two looks at the channel, if nothing brakes
 
 
@@ -42,6 +43,7 @@ class Brake:
         self._wall_ns: int | None = None  # at which the rig's time was `_rig_ns`
         self._rig_ns = 0
         self._calls = 0
+        self._looked_ns = clock_ns() - _OFTEN_NS
         self._is_settled = False  # a standstill has been told, and the record written
         self._told: object = None
         self._is_over = False
@@ -50,13 +52,13 @@ class Brake:
 
     def __call__(self, due_ns: int) -> bool:
         """Wait until `due_ns` is due; return True if an act comes first."""
-        if self.held_ns is None and self.pace is None and not self._hands.is_busy:
-            self._calls += 1
-            if self._calls % _SELDOM:
-                return False
+        passes = self.held_ns is None and not self._hands.is_busy
+        if passes and self._has_just_looked() and self._reached_ns(due_ns) >= due_ns:
+            return False
         timeout_s = 0.0
         while True:
             self._channel.wait(timeout_s)
+            self._looked_ns = self._clock_ns()
             if self._hands.is_busy:
                 return False  # the next event is an act
             if self._hands.revision != self._told:
@@ -88,6 +90,13 @@ class Brake:
         self._channel.finish()
 
     # ---------------------------------------------------------------------------------- inside
+
+    def _has_just_looked(self) -> bool:
+        """Return True if requests need not be looked for before an event that is due."""
+        if self.pace is None:
+            self._calls += 1
+            return self._calls % _SELDOM > 0
+        return self._clock_ns() - self._looked_ns < _OFTEN_NS
 
     def _take(self, due_ns: int) -> bool:
         """Fulfil the requests that wait; return True if one of them is an act."""
