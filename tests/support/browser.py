@@ -11,6 +11,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
@@ -23,6 +25,14 @@ FLAGS = (
 def chromium():
     """Return the path of Chromium, or None if it is not installed."""
     return shutil.which("chromium")
+
+
+def started(tmp_path_factory):
+    """Start a browser for a fixture, and end it afterwards; skip the tests without Chromium."""
+    if chromium() is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    with Browser(tmp_path_factory.mktemp("profile")) as one:
+        yield one
 
 
 class Browser:
@@ -98,6 +108,13 @@ class Browser:
         return self.wait(
             "document.documentElement.dataset.state || document.documentElement.dataset.error"
         )
+
+    def begin_anew(self):
+        """Forget requests and errors; take the usual size and media features again."""
+        self.requests.clear()
+        self.errors.clear()
+        self.size(1400, 900)
+        self.media()
 
     def wait(self, condition, timeout_ms=120_000):
         """Return the condition's value once it is true; the browser itself waits."""

@@ -10,7 +10,7 @@ import pytest
 from motorhil.harness.cli.main import main
 from motorhil.traces.mcap.writer import TraceWriter
 from motorhil.traces.schema import GROUP_SYNC, MOTOR_LOCK
-from tests.support.browser import Browser, chromium
+from tests.support.browser import started
 from tests.support.recordings.handmade import MS, Recorded
 
 pytestmark = pytest.mark.wall
@@ -30,19 +30,13 @@ SECTIONS = [
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    with Browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
+    yield from started(tmp_path_factory)
 
 
 @pytest.fixture
 def opened(browser, demo_page):
     """Open the demo's page; check afterwards that there were no errors and no requests."""
-    browser.requests.clear()
-    browser.errors.clear()
-    browser.size(1400, 900)
-    browser.media()
+    browser.begin_anew()
     assert browser.open(demo_page) == "ready"
     yield browser
     assert browser.errors == []

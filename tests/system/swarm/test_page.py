@@ -10,7 +10,7 @@ from motorhil.harness.swarm.report.processes import processes_of
 from motorhil.harness.swarm.report.progress import Progress
 from motorhil.harness.swarm.row import Result, Row
 from motorhil.harness.swarm.summary import summary_of
-from tests.support.browser import Browser, chromium
+from tests.support.browser import started
 from tests.support.recordings.handmade import Recorded
 from tests.support.swarm.campaigns import FOUND, PLAN, failure, written
 
@@ -44,10 +44,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    with Browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
+    yield from started(tmp_path_factory)
 
 
 @pytest.fixture
@@ -55,10 +52,7 @@ def page(browser, folder):
     """Open the page from disk; check that it asks for nothing but itself, without any error."""
     address = (folder / "index.html").as_uri()
     browser.call("Page.navigate", url="about:blank")
-    browser.requests.clear()
-    browser.errors.clear()
-    browser.size(1400, 900)
-    browser.media()
+    browser.begin_anew()
     browser.call("Page.navigate", url=address)
     browser.wait("document.readyState === 'complete' && document.querySelector('#facts')")
     yield browser

@@ -3,7 +3,7 @@
 import pytest
 
 from motorhil.harness.cli.main import main
-from tests.support.browser import Browser, chromium
+from tests.support.browser import started
 from tests.support.view.growing import Growing
 from tests.unit.harness.conftest import demo  # noqa: F401
 
@@ -22,10 +22,7 @@ def wheels(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="package")
 def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    with Browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
+    yield from started(tmp_path_factory)
 
 
 @pytest.fixture
@@ -40,10 +37,7 @@ def page(browser):
         return browser
 
     browser.call("Page.navigate", url="about:blank")
-    browser.requests.clear()
-    browser.errors.clear()
-    browser.size(1400, 900)
-    browser.media()
+    browser.begin_anew()
     yield open_
     assert [one for one in browser.requests if not one.startswith(tuple(asked))] == []
     assert [one for one in browser.errors if "ERR_" not in one] == []  # a server that was stopped
