@@ -50,7 +50,10 @@ _LEAST: Final = 0.02  # of the effort: the scale of a parameter that starts near
 _SIZES: Final = ("viscous", "coulomb")  # never below zero
 _WINDOW: Final = 3  # residuals over which their correlation is counted
 _BIAS: Final = {"inertia": 5e-4, "viscous": 1e-3, "coulomb": 1e-3}
-"""Share of each value by which samples and ticks bias it, as measured without any noise."""
+"""Share of each value by which samples and ticks bias it, as measured without any noise.
+
+Slow samples make the drive's loop slow, and the bias grows with the square of its period.
+"""
 _ROUNDS: Final = 2
 _RUNS: Final = 6  # of the drive in each round, beside those for derivatives
 
@@ -163,7 +166,8 @@ class _Search:
             )
             place = result.x
         covariance = _covariance(slopes, result.fun, self._moves)
-        bias = np.array([_BIAS.get(name, 0.0) for name in (*self._names, DELAY)])
+        slowness = (LOOP_RAD_S / min(LOOP_RAD_S, self._motion.loop_rad_s)) ** 2
+        bias = slowness * np.array([_BIAS.get(name, 0.0) for name in (*self._names, DELAY)])
         variances = np.diag(covariance) + (bias * place) ** 2
         return place * self._scale, np.sqrt(variances) * self._scale
 

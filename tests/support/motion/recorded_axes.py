@@ -1,7 +1,8 @@
 """Recordings of emulated axes with random plants, as a drive would tell them.
 
 The drive's servo follows trapezoids. Its torque has noise, and is told in thousandths of the rated
-torque; its position is told in increments of the encoder.
+torque; its position is told in increments of the encoder. A drive tells the torque of the instant,
+or the mean of the period, as 2027h "current actual value averaged" of an EPOS2 (maxon's EDS).
 """
 
 import numpy as np
@@ -43,10 +44,11 @@ def random_plant(draws):
     return plant, speed, acceleration
 
 
-def random_recording(seed, rate_hz=1000, duration_s=12.0, noise=0.01):
+def random_recording(seed, rate_hz=1000, duration_s=12.0, noise=0.01, *, averaged=False):
     """Return samples of a random axis, and its true parameters at the output.
 
-    `noise` is the standard deviation of the torque, as a share of the rated torque.
+    `noise` is the standard deviation of the torque, as a share of the rated torque. Torques are
+    means of their period if `averaged`.
     """
     draws = np.random.default_rng(seed)
     plant, speed, acceleration = random_plant(draws)
@@ -55,7 +57,7 @@ def random_recording(seed, rate_hz=1000, duration_s=12.0, noise=0.01):
     per_rad, gear = plant.increments_per_rad(), plant.gear_ratio
     count, every = int(duration_s * rate_hz), 1000 // rate_hz
     position, torque = np.empty(count), np.empty(count)
-    target, following_ms = 0.0, 0
+    target, following_ms, total = 0.0, 0, 0.0
     for now_ms in range(count * every):
         axis.at(now_ms * 1_000_000)
         if now_ms >= following_ms:
@@ -64,9 +66,11 @@ def random_recording(seed, rate_hz=1000, duration_s=12.0, noise=0.01):
             target += draws.choice([-1, 1]) * fast * draws.uniform(0.4, 1.2)
             axis.move_to(int(target * per_rad), fast * per_rad, hard * per_rad, hard * per_rad)
             following_ms = now_ms + int(1000 * draws.uniform(0.7, 1.5))
+        total += axis.torque_n_m()
         if now_ms % every == 0:
             position[now_ms // every] = axis.position_inc() / per_rad / gear
-            torque[now_ms // every] = axis.torque_n_m()
+            torque[now_ms // every] = total / every if averaged else axis.torque_n_m()
+            total = 0.0
     rated = 3 * plant.inertia_kg_m2() * acceleration * gear
     torque += noise * rated * draws.standard_normal(count)
     true = {
