@@ -94,8 +94,8 @@ docs: $(READY) $(DOCS)/.ready  ## the documents as a site, which works from disk
 	$(DOCS)/bin/sphinx-build -q -W --keep-going build/docs/source build/docs/html
 	@echo build/docs/html/index.html
 
-bench: $(READY)  ## figures against a peer in the same run; asserts no wall time
-	$(BIN)/python -m tests.benchmarks
+bench: $(READY)  ## figures against peers and those kept in kept.tsv; BENCH="--all", "NAME", "--keep 3"
+	$(BIN)/python -m tests.benchmarks $(BENCH)
 
 bench-against: $(READY)  ## REV, another revision, built once: what the demo, csp and the bus cost beside it
 	$(BIN)/python -m tests.benchmarks.against $(REV) $(AGAINST)

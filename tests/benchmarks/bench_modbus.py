@@ -37,7 +37,8 @@ unit = 1
 timing = {boot_up_s = 0, reply_s = 0}
 """
 _MOTORHIL = "import sys; from motorhil.harness.cli.main import main; sys.exit(main())"
-Work = Callable[[], float]
+Work = Callable[[], list[float]]
+"""Asks REQUESTS times, and returns the wall time of each request [s]."""
 
 
 @contextmanager
@@ -76,15 +77,12 @@ def _raw(port: int, address: int) -> Work:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     request = adu(7, 1, b"\x03" + address.to_bytes(2, "big") + b"\x00\x02")
 
-    def work() -> float:
-        start_s = perf_counter()
-        for _ in range(REQUESTS):
-            connection.sendall(request)
-            answer = connection.recv(300)
-            assert len(answer) == 13, answer.hex()
-        return REQUESTS / (perf_counter() - start_s)
+    def ask() -> None:
+        connection.sendall(request)
+        answer = connection.recv(300)
+        assert len(answer) == 13, answer.hex()
 
-    return work
+    return lambda: _timed(ask)
 
 
 def _four(port: int, address: int) -> Work:
@@ -94,7 +92,7 @@ def _four(port: int, address: int) -> Work:
     for connection in connections:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-    def work() -> float:
+    def work() -> list[float]:
         start_s = perf_counter()
         for connection in connections:
             connection.sendall(request)
@@ -105,7 +103,7 @@ def _four(port: int, address: int) -> Work:
                 connection.sendall(request)
         for connection in connections:
             connection.recv(300)
-        return REQUESTS // 4 * 4 / (perf_counter() - start_s)
+        return [(perf_counter() - start_s) / REQUESTS] * REQUESTS
 
     return work
 
@@ -115,26 +113,35 @@ def _pymodbus(port: int, address: int) -> Work:
     client = ModbusTcpClient("127.0.0.1", port=port, timeout=20, retries=0)
     assert client.connect()
 
-    def work() -> float:
-        start_s = perf_counter()
-        for _ in range(REQUESTS):
-            assert len(client.read_holding_registers(address, count=2, device_id=1).registers) == 2
-        return REQUESTS / (perf_counter() - start_s)
+    def ask() -> None:
+        assert len(client.read_holding_registers(address, count=2, device_id=1).registers) == 2
 
-    return work
+    return lambda: _timed(ask)
 
 
-def _rates(client: Callable[[int, int], Work]) -> tuple[float, float]:
-    """Return requests per second of (ours, the peer): medians of alternating rounds."""
-    ours: list[float] = []
-    theirs: list[float] = []
+def _timed(ask: Callable[[], None]) -> list[float]:
+    times_s: list[float] = []
+    for _ in range(REQUESTS):
+        begun_s = perf_counter()
+        ask()
+        times_s.append(perf_counter() - begun_s)
+    return times_s
+
+
+def _figures(client: Callable[[int, int], Work]) -> Iterator[tuple[float, float]]:
+    """Yield (requests per second, 99th percentile [us]) of ours and of the peer.
+
+    Both are medians of alternating rounds.
+    """
     with _served() as here, _peer() as there:
-        ask_us, ask_them = client(*here), client(*there)
-        ask_us(), ask_them()
-        for _ in range(ROUNDS):
-            ours.append(ask_us())
-            theirs.append(ask_them())
-    return statistics.median(ours), statistics.median(theirs)
+        both = client(*here), client(*there)
+        for work in both:
+            work()
+        rounds = [[work() for work in both] for _ in range(ROUNDS)]
+    for some in zip(*rounds, strict=True):
+        rate = statistics.median(REQUESTS / sum(times_s) for times_s in some)
+        late_s = statistics.median(statistics.quantiles(times_s, n=100)[-1] for times_s in some)
+        yield rate, late_s * 1e6
 
 
 def rtu_cycles(count: int = 50) -> tuple[Fraction, Fraction]:
@@ -172,10 +179,13 @@ def run() -> Iterator[tuple[str, float, str]]:
         ("four of them", _four),
         ("pymodbus's client", _pymodbus),
     ):
-        ours, theirs = _rates(client)
+        (ours, our_p99), (theirs, their_p99) = _figures(client)
         yield f"Modbus/TCP, live drive, {name}", ours, "requests/s"
         yield f"pymodbus's own server, live registers, {name}", theirs, "requests/s"
         yield "  ratio", ours / theirs, "x"
+        if client is not _four:
+            yield "  99th percentile, live drive", our_p99, "us"
+            yield "  99th percentile, pymodbus's own server", their_p99, "us"
     measured, computed = rtu_cycles()
     yield "RTU cycle at 115,200 bit/s in virtual time", float(measured), "us"
     yield "  computed from character times", float(computed), "us"

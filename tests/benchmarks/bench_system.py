@@ -1,4 +1,4 @@
-"""System figures: demo, csp at 1 kHz, rest, and SDO uploads.
+"""System figures: demo, long run, short rigs, csp at 1 kHz, rest, and SDO uploads.
 
 Each workload runs in a process of its own, with the pure cores and, after `make compiled`, with the
 compiled ones. The demo and csp grow with simulated time and drives, the rig at rest with heartbeats
@@ -61,6 +61,6 @@ def run() -> Figures:
     ]
     for python, cores in ((sys.executable, "pure"), (COMPILED, "compiled")):
         if Path(python).exists():
-            for name in ("demo", "long", "csp", "rest"):
+            for name in ("demo", "long", "suite", "csp", "rest"):
                 figures += _workload(python, cores, name)
     return figures

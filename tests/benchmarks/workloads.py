@@ -124,6 +124,41 @@ def long(simulated_s: float = 600.0) -> Figures:
     ]
 
 
+# --- short rigs, as a suite of tests has them
+
+
+def suite(rigs: int = 50) -> Figures:
+    """Measure the rigs of a suite: each is opened, moves two wheels, and is closed."""
+    from motorhil.harness import examples
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
+
+    path = Path(examples.__file__).parent / "two_wheels.toml"
+    draw = Random("suite")
+
+    def one() -> None:
+        with Rig.open(path) as rig:
+            both = rig.groups["both"]
+            both.for_each(Motor.enable)
+            both.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+            both.set_trajectory(*(TrapezoidalTrajectory(draw.uniform(-3.0, 3.0)) for _ in "12"))
+            both.start()
+            both.wait_until_done(10.0)
+            both.for_each(Motor.disable)
+
+    begun = time.process_time()
+    one()
+    first = time.process_time() - begun
+    begun = time.process_time()
+    for _ in range(rigs):
+        one()
+    spent = time.process_time() - begun
+    return [
+        ("a short rig of two wheels, opened, moved, closed", spent / rigs * 1e3, "ms"),
+        ("the first of them in a process", first * 1e3, "ms"),
+    ]
+
+
 # --- cyclic synchronous position
 
 
@@ -371,7 +406,10 @@ def kit() -> Figures:
     return [("conformance kit, cia402, CPU", spent, "s")]
 
 
-WORKLOADS = {"demo": demo, "long": long, "csp": csp, "rest": rest, "bus": bus, "kit": kit}
+WORKLOADS = {
+    **{"demo": demo, "long": long, "suite": suite, "csp": csp, "rest": rest},
+    **{"bus": bus, "kit": kit},
+}
 
 if __name__ == "__main__":
     for name, figure, unit in WORKLOADS[sys.argv[1]]():
