@@ -61,6 +61,6 @@ def run() -> Figures:
     ]
     for python, cores in ((sys.executable, "pure"), (COMPILED, "compiled")):
         if Path(python).exists():
-            for name in ("demo", "long", "suite", "csp", "rest"):
+            for name in ("demo", "long", "suite", "drives", "csp", "rest"):
                 figures += _workload(python, cores, name)
     return figures

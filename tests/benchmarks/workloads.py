@@ -159,6 +159,63 @@ def suite(rigs: int = 50) -> Figures:
     ]
 
 
+# --- growth with the number of drives
+
+
+def _drives_rig(folder: str, drives: int) -> Path:
+    """Write a rig of drives with motors, ten on each bus, all in one group."""
+    from motorhil.harness import examples
+
+    model = Path(examples.__file__).parent / "wheel_model.toml"
+    lines = ["rig = { name = 'drives' }", "[group.all]"]
+    lines.append(f"motors = {[f'd{number}' for number in range(drives)]}")
+    for number in range(drives):
+        bus, node = f"can{number // 10}", number % 10 + 1
+        if node == 1:
+            lines.append(f"[bus.{bus}]\nbitrate_bit_s = 1_000_000")
+        lines += [f"[controller.d{number}]", "kind = 'cia402'", f"bus = '{bus}'"]
+        lines += [f"node_id = {node}", "plant = { preset = 'wheel_60w' }"]
+        lines += [f"[motor.d{number}]", "adaptation = 'cia402'", f"controller = 'd{number}'"]
+        lines += [f"model = '{model}'"]
+    path = Path(folder) / f"drives{drives}.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _per_drive_ms(drives: int, simulated_s: float = 4.0) -> float:
+    """Return the CPU time [ms] for a drive and a simulated second, while all go there and back."""
+    from motorhil.harness.rig.rig import Rig
+    from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
+
+    with TemporaryDirectory() as folder, Rig.open(_drives_rig(folder, drives)) as rig:
+        group, runtime = rig.groups["all"], rig.runtime
+        group.for_each(Motor.enable)
+        group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+        gc.collect()
+        begun_ns, begun = runtime.now_ns(), time.process_time()
+        sign = 1.0
+        while runtime.now_ns() - begun_ns < simulated_s * 1e9:
+            group.set_trajectory(*(TrapezoidalTrajectory(sign * 2.0) for _ in range(drives)))
+            group.start()
+            group.wait_until_done(10.0)
+            sign = -sign
+        spent = time.process_time() - begun
+        return spent / drives / (runtime.now_ns() - begun_ns) * 1e12
+
+
+def drives() -> Figures:
+    """Measure the cost of a moving drive among 1, 10 and 100."""
+    counts = (1, 10, 100)
+    costs = {count: best(lambda count=count: _per_drive_ms(count)) for count in counts}
+    return [
+        *(
+            (f"a moving drive of {count}, CPU for a simulated second", cost, "ms")
+            for count, cost in costs.items()
+        ),
+        ("a moving drive of 100 against one of 10", costs[100] / costs[10], "x"),
+    ]
+
+
 # --- cyclic synchronous position
 
 
@@ -407,7 +464,7 @@ def kit() -> Figures:
 
 
 WORKLOADS = {
-    **{"demo": demo, "long": long, "suite": suite, "csp": csp, "rest": rest},
+    **{"demo": demo, "long": long, "suite": suite, "drives": drives, "csp": csp, "rest": rest},
     **{"bus": bus, "kit": kit},
 }
 
