@@ -17,6 +17,7 @@ from shutil import copyfile
 from tempfile import TemporaryDirectory
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.oracles.base import Verdict, Violation
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.judge import judge
@@ -59,7 +60,7 @@ _PYTEST: Final = f"{os.sep}_pytest{os.sep}"
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Failure:
     """Something that a run did wrong.
 
