@@ -15,6 +15,7 @@ Source: igus, Operating Manual dryve D1 V2.4, pages 104 to 110; igus's sample pr
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.emulators.api import (
@@ -51,7 +52,6 @@ from motorhil.emulators.cia402.settings import (
     SwitchesTable,
     read_settings,
 )
-from motorhil.frozen import frozen
 
 FUNCTION: Final = 0x2B
 MEI: Final = 0x0D
@@ -111,7 +111,7 @@ _VELOCITY_UNITS: Final = ("position", "rpm")
 
 
 @final
-@frozen(kw_only=True, slots=False)
+@dataclass(frozen=True, kw_only=True)
 class DryveTable(MotorTable):
     """An igus dryve D1 on a Modbus TCP line of its own."""
 

@@ -104,7 +104,8 @@ def run(options: argparse.Namespace) -> int:
         RigError: an option or an EDS file cannot be used.
     """
     from motorhil.harness.rig.config.rig_file import read_rig
-    from motorhil.harness.rig.rig import Rig, installed_plugins
+    from motorhil.harness.rig.reading import installed_plugins
+    from motorhil.harness.rig.rig import Rig
     from motorhil.motorapi import MotorError
     from motorhil.traces.digest import digest
 

@@ -16,8 +16,8 @@ from motorhil.harness.report.collect import collect
 from motorhil.harness.report.motors import Line, Motor, motors_of
 from motorhil.harness.report.series import Track
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.rig.recording import files_of
-from motorhil.harness.rig.rig import describe
 from motorhil.settings import listed, nearest
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.records import Attachment

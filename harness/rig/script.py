@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Self, final
 from motorhil.frozen import frozen
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import NoSuchName
+from motorhil.harness.rig.names import NoSuchName
 from motorhil.harness.virtual_time.interrupts import exit_handlers
 from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.harness.virtual_time.stdlib.threads import join_executors

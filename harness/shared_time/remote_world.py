@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, final
 from motorhil.emulators.simulation.ownership_notice import OwnershipNotice, pack_owns
 from motorhil.frozen import frozen
 from motorhil.harness.rig.config.buses import MODBUS_TCP
-from motorhil.harness.rig.rig import serial_line
+from motorhil.harness.rig.lines import serial_line
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import PortFlags
 from motorhil.motorapi.errors import UsageError

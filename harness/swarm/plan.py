@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorhil.frozen import frozen
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.rig.recording import digest_of, files_of
-from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 from motorhil.harness.version import source_digest, version
 

@@ -26,8 +26,9 @@ from motorhil.harness.rig.config.rig_file import Known, RigDescription, read_rig
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import UNDECLARED
 from motorhil.harness.rig.fragment import read_fragment
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.harness.rig.recording import files_of
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.rig.script import (
     Script,
     exit_status,

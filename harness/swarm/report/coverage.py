@@ -7,7 +7,7 @@ from motorhil.emulators.cia402.state_machine import PdsState
 from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import UNDECLARED, WEIGHTS, SwarmTable
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.swarm.plan import Plan
 from motorhil.harness.swarm.summary import Summary
 from motorhil.harness.swarm.worlds.drawing import possible
