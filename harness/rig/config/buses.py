@@ -9,13 +9,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.emulators.can.controller_config import (
+    HOST,
     USUAL_TIMING,
     BitTiming,
     CanNode,
     FrameSupport,
     QueueOrder,
 )
-from motorhil.emulators.simulation.can_network import HOST
 from motorhil.frozen import frozen
 from motorhil.harness.rig.config.bus_load import MESSAGES, MessageTable, check_messages
 from motorhil.harness.rig.config.toml import Source, Table

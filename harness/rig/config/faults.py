@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final, final
 
+from motorhil.emulators.can.controller_config import HOST as INTERFACE
 from motorhil.emulators.can.fault_rules import (
     RATE_MAX,
     FaultKind,
@@ -16,7 +17,6 @@ from motorhil.emulators.can.fault_rules import (
 )
 from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorhil.emulators.simulation.can_network import HOST as INTERFACE
 from motorhil.frozen import frozen
 from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.toml import Table
