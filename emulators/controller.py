@@ -6,10 +6,10 @@ nanoseconds on one timeline that starts at 0.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, TypeVar, final
 
+from motorhil.frozen import frozen
 from motorhil.settings import SettingError as SettingError
 
 API_VERSION: Final = 1
@@ -141,7 +141,7 @@ def no_files(file: str) -> NonvolatileMemory:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ControllerContext:
     """The information of a rig for a controller's builder, besides the controller's table.
 

@@ -31,13 +31,15 @@ called without arguments, returns the rows (Register).
 
 import re
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
+
+from motorhil.frozen import frozen
 
 CONTROLLERS: Final = "motorhil.controllers"
 ADAPTATIONS: Final = "motorhil.adaptations"
@@ -85,7 +87,7 @@ def _check_version(written_for: object, api: str, version: int) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Plugin:
     """One entry point.
 
@@ -119,11 +121,7 @@ class Plugin:
 
 def installed(group: str) -> dict[str, Plugin]:
     """Return a group's plugins by name, in alphabetical order; the first one found counts."""
-    found: dict[str, Plugin] = {}
-    for entry_point in _entry_points(tuple(sys.path))(group=group):
-        plugin = Plugin(entry_point.name, entry_point.value, entry_point)
-        found.setdefault(entry_point.name, plugin)
-    return dict(sorted(found.items()))
+    return dict(_installed(group, tuple(sys.path)))
 
 
 def is_target(name: str) -> bool:
@@ -139,7 +137,7 @@ def named(group: str, name: str) -> Plugin:
     """
     if is_target(name):
         return Plugin(name, name, metadata.EntryPoint(name, name, group))
-    return installed(group)[name]
+    return _installed(group, tuple(sys.path))[name]
 
 
 def own_eds(target: str) -> Path | None:
@@ -156,6 +154,15 @@ def own_eds(target: str) -> Path | None:
         for path in sorted((Path(folder) / "eds").glob(f"*_{name}.eds")):
             return path
     return None
+
+
+@lru_cache(maxsize=8)
+def _installed(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:
+    found: dict[str, Plugin] = {}
+    for entry_point in _entry_points(path)(group=group):
+        plugin = Plugin(entry_point.name, entry_point.value, entry_point)
+        found.setdefault(entry_point.name, plugin)
+    return MappingProxyType(dict(sorted(found.items())))
 
 
 @lru_cache(maxsize=1)

@@ -2,8 +2,12 @@
 
 Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar: A Reusable Software Framework for
 Rover Motion Control). Adaptations to hardware are in `motorhil.motorapi.adaptations`; only they
-import the libraries of their bus.
+import the libraries of their bus. Motors and groups, with all below them, are loaded when they are
+first used.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 from motorhil.motorapi.commands import (
     ControlMode,
@@ -29,14 +33,9 @@ from motorhil.motorapi.errors import (
     UnsupportedError,
     UsageError,
 )
-from motorhil.motorapi.generation import Trapezoid
-from motorhil.motorapi.group import MotorGroup
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
-from motorhil.motorapi.motor import Motor
 from motorhil.motorapi.outcome import Ending, Outcome, Progress
-from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
-from motorhil.motorapi.ownership.reservation import Reservation
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.motorapi.runtime.wall import WallRuntime, runtime_of
 from motorhil.motorapi.state import Fault, Measurement, MotorState
@@ -58,6 +57,13 @@ from motorhil.motorapi.trajectory import (
     Trajectory,
     TrapezoidalTrajectory,
 )
+
+if TYPE_CHECKING:
+    from motorhil.motorapi.generation import Trapezoid
+    from motorhil.motorapi.group import MotorGroup
+    from motorhil.motorapi.motor import Motor
+    from motorhil.motorapi.ownership.claim import LockAction, OwnershipEvent
+    from motorhil.motorapi.ownership.reservation import Reservation
 
 __all__ = [
     "Argument",
@@ -115,3 +121,19 @@ __all__ = [
     "WallRuntime",
     "runtime_of",
 ]
+
+_LATE: Final = {
+    "LockAction": "ownership.claim",
+    "Motor": "motor",
+    "MotorGroup": "group",
+    "OwnershipEvent": "ownership.claim",
+    "Reservation": "ownership.reservation",
+    "Trapezoid": "generation",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a name at its first use."""
+    if name not in _LATE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"motorhil.motorapi.{_LATE[name]}"), name)

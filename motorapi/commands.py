@@ -10,6 +10,7 @@ from math import inf, isnan, nan
 from numbers import Real
 from typing import Any, TypeGuard, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import UsageError
 
 Range = tuple[float, float]
@@ -123,7 +124,7 @@ def given(value: Any) -> str:
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class Setpoint:
     """A target value that the motor tries to reach, without a prescribed profile."""
 

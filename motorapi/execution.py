@@ -11,9 +11,9 @@ wait for several motors has one deadline.
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.errors import (
     DeadlineExceeded,
@@ -159,7 +159,7 @@ _RING_MAX: Final = 100
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Started:
     """One motor of a start, with its requested motion and the motion that its hardware makes."""
 

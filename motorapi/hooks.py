@@ -45,9 +45,10 @@ has a fault. A drive that does not tell whether it is on must obey `_stop` in an
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, Final, Protocol, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
 from motorhil.motorapi.device import Device
 from motorhil.motorapi.errors import (
@@ -92,7 +93,7 @@ class ArmHook(Protocol):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Hooks:
     """The hooks of one motor, as the interface calls them; `MotorHooks` documents each.
 
@@ -256,7 +257,7 @@ class _End:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class CommandTrigger:
     """The trigger of a drive without synchronous starts: its command itself."""
 

@@ -28,13 +28,13 @@ opposite direction of counting has increments < 0.
 import json
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from math import tau
 from numbers import Real
 from pathlib import Path
 from typing import Any, Final, Self, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlVariable, as_number, given
 from motorhil.motorapi.errors import FileError, UsageError
 from motorhil.settings import (
@@ -80,7 +80,7 @@ def _ratio(name: str, doc: str, of_linear: str = "", **own: Any) -> Any:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+@frozen(kw_only=True, repr=False)
 class MotorModel:
     """The motor model (paper, 3.2): limits and units, immutable, shared between copies.
 

@@ -3,10 +3,10 @@
 Source: the CLARAty motor interface (Pivtoraiko, Nesnas, Nayar), Figure 4.
 """
 
-from dataclasses import dataclass
 from math import inf, isfinite
 from typing import TYPE_CHECKING, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Range
 from motorhil.motorapi.trajectory import Argument, Trajectory
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class Motion:
     """One resolved command for an adaptation: absolute, signed, SI units, within the limits.
 

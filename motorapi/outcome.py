@@ -9,10 +9,10 @@ examined.
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import MotionInterrupted, MotorError, PluginError
 from motorhil.motorapi.runtime.api import LOOK_PERIOD_S
 
@@ -33,7 +33,7 @@ class Ending(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class Outcome:
     """The outcome of one motion, true if it ended as commanded.
 
@@ -68,7 +68,7 @@ def ending_of(error: MotorError) -> Ending:
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class Progress:
     """The progress of a motion. U is rad, or m if the motor is linear.
 

@@ -1,10 +1,10 @@
 """State, fault and last measurement of a motor."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import DeviceFault
 
 
@@ -20,7 +20,7 @@ class MotorState(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class Fault:
     """A fault reported by the drive: its error code, its text, and its time [ns]."""
 

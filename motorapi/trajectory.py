@@ -8,10 +8,11 @@ for position, rad/s or m/s for velocity.
 Source: the paper, 3.3.1.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Protocol, TypeAlias, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlVariable, DerivativeLimits, Range, as_number
 from motorhil.motorapi.errors import LinkError, MotorError, PluginError, UsageError
 from motorhil.motorapi.model import MotorModel
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class TrapezoidalTrajectory:
     """The simplest motion that satisfies its boundary conditions, by default at rest at both ends.
 
@@ -158,7 +159,7 @@ def _derivatives(name: str, given: object) -> tuple[float, ...]:
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class ComplexTrajectory:
     """A motion with a value prescribed for every argument, by any `Function`.
 

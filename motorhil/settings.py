@@ -2,7 +2,7 @@
 
 A class of settings is a frozen dataclass. Each field is declared with its kind, limits and unit:
 
-    @dataclass(frozen=True, slots=True, kw_only=True)
+    @frozen(kw_only=True)
     class Timing:
         # the docstring describes the table
 
@@ -12,7 +12,7 @@ A class of settings is a frozen dataclass. Each field is declared with its kind,
 Relations between keys are declared as `RULES`. The rest is checked in `__post_init__`, which raises
 SettingError.
 
-This is the one module below the islands: it imports the standard library only.
+This module is below the islands: beside `motorhil.frozen` it imports the standard library only.
 """
 
 import difflib
@@ -20,10 +20,12 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, field, fields
 from enum import Enum
 from functools import cache
 from typing import Any, Final, Protocol, TypeVar, final
+
+from motorhil.frozen import frozen
 
 BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 REQUIRED: Final[Any] = MISSING
@@ -99,7 +101,7 @@ class SettingError(Exception):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Doubt:
     """A value in a table that is permitted, but hardly meant.
 
@@ -138,7 +140,7 @@ class Kind(Protocol):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Key:
     """The declaration of one key.
 
@@ -165,7 +167,7 @@ class Key:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Number:
     """A number from `low` to `high`, both included.
 
@@ -263,7 +265,7 @@ class Number:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Flag:
     """True or false."""
 
@@ -283,7 +285,7 @@ class Flag:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Text:
     """A text that is not empty; `words`, if any, are all there are, and `noun` names them."""
 
@@ -317,7 +319,7 @@ class Text:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Member:
     """A member of an enumeration by its value, a word."""
 
@@ -341,7 +343,7 @@ class Member:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class HexBytes:
     """1 to `longest` bytes, written in hex; `must_change`: not all of them 0."""
 
@@ -373,7 +375,7 @@ class HexBytes:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Items:
     """A list; at least `least` items, at most `most`, none of them twice if `unique`."""
 
@@ -419,7 +421,7 @@ class Items:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class TableOf:
     """A table of its own: of a class of settings, or of a declaration."""
 
@@ -441,7 +443,7 @@ class TableOf:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class TablesByKey:
     """A table of values by key; each key matches `pattern` if there is one."""
 
@@ -470,7 +472,7 @@ class TablesByKey:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Rule:
     """A relation between keys: if it applies, some keys are refused or required.
 
@@ -525,7 +527,7 @@ class Rule:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Declaration:
     """The keys of a table, and their relations.
 

@@ -8,12 +8,12 @@ with its expected beginning, and decoded singly if it differs.
 import os
 import struct
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorhil.frozen import frozen
 from motorhil.traces.can_frame import FDF
 from motorhil.traces.mcap.reader import Cut, Trace, TraceMessage, read_trace
 from motorhil.traces.mcap.records import MESSAGE
@@ -38,7 +38,7 @@ _Indices = NDArray[np.intp]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class CanArrays:
     """n frames, in the order in which they were written.
 

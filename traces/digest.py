@@ -6,10 +6,10 @@ Both depend only on the messages: on topic, log time and payload, in the order w
 import hashlib
 import os
 import struct
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import final
 
+from motorhil.frozen import frozen
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.mcap.reader import TraceMessage, read_trace
@@ -51,7 +51,7 @@ def digest(path: str | os.PathLike[str]) -> str:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Mismatch:
     """The first pair of different messages; None: that recording has ended.
 

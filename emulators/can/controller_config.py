@@ -22,6 +22,7 @@ ONE: Final = (
     10**12
 )  # a bit time; also the rate of an ideal clock (motorhil.emulators.plant.oscillator)
 RECESSIVE: Final = 1
+HOST: Final = "host"  # name of the host's interface on every bus
 
 _EDGES_APART: Final = 10  # maximum number of bits between edges to dominant: five of each level
 _TO_ERROR_FLAG: Final = 13  # bits from such an edge to the one at the end of an error flag

@@ -79,13 +79,11 @@ _frames: Final[dict[bytes, int]] = {}
 
 def _stuff_table(width: int) -> list[int]:
     """Return the stuffing table, by state << width | value with the most significant bit first."""
-    table: list[int] = []
-    for state in range(8):
-        for value in range(1 << width):
-            entry = state << 8
-            for shift in range(width - 1, -1, -1):
-                entry = (entry & ~_STATE) + _stuff(entry & _STATE, value >> shift & 1)
-            table.append(entry)
+    table: list[int] = [state << 8 for state in range(8)]
+    for _ in range(width):
+        table = [
+            (entry & ~_STATE) + _stuff(entry & _STATE, bit) for entry in table for bit in (0, 1)
+        ]
     return table
 
 

@@ -5,7 +5,7 @@ differ for channel 2, and so on.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -25,6 +25,7 @@ from motorhil.emulators.settings.tables import (
     ns,
     plant_of,
 )
+from motorhil.frozen import frozen
 from motorhil.settings import (
     KeyPath,
     SettingError,
@@ -44,7 +45,7 @@ CHANNELS_MAX: Final = 4
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class AmplifierTable:
     """An amplifier in current mode, and the counter of the encoder."""
 
@@ -94,7 +95,7 @@ _AMPLIFIER: Final = declaration(AmplifierTable)
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ChannelTable:
     """Settings of one channel that differ from those of the node."""
 
@@ -111,7 +112,7 @@ class ChannelTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class NodeTable(CanopenTable):
     """A CiA 401 I/O node with torque amplifiers, motors and encoder counters."""
 
@@ -160,7 +161,7 @@ class NodeTable(CanopenTable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class ChannelSettings:
     """One channel: an amplifier in current mode, its motor, and the motor's encoder.
 
@@ -184,7 +185,7 @@ class ChannelSettings:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class NodeSettings:
     """One I/O node of a rig.
 

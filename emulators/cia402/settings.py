@@ -15,7 +15,7 @@ drive without quirks is the same object as without this module.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, ClassVar, Final, final
 
@@ -49,6 +49,7 @@ from motorhil.emulators.settings.tables import (
     TimingTable,
     ns,
 )
+from motorhil.frozen import frozen
 from motorhil.settings import (
     Declaration,
     Items,
@@ -85,7 +86,7 @@ def _position(doc: str) -> Any:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class SwitchesTable:
     """Digital inputs along the output, by positions of the plant."""
 
@@ -181,7 +182,7 @@ Quirks = Mapping[str, Mapping[str, float]]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Quirk:
     """One row of the catalogue.
 
@@ -315,7 +316,7 @@ _WHOLE: Final = {"bits": _STATUSWORD_BITS, "value": (1 << 40) - 1, "frames": 1_0
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _OnOff:
     """True, false, or a table of parameters."""
 
@@ -429,7 +430,7 @@ SYNC_LOST_CODE: Final = 0xFF64
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class DriveTimingTable(TimingTable):
     """Delays of a drive."""
 
@@ -443,7 +444,7 @@ def _unit(per: str) -> Any:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class UnitsTable:
     """Units of the drive's objects, where the EDS does not say, or says otherwise."""
 
@@ -453,7 +454,7 @@ class UnitsTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class CyclicTable:
     """Reaction of the cyclic modes to missing SYNC, if 60C2h states its period."""
 
@@ -474,7 +475,7 @@ class CyclicTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class DriveTable(CanopenTable, MotorTable):
     """A CiA 402 drive."""
 
@@ -494,7 +495,7 @@ class DriveTable(CanopenTable, MotorTable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class DriveSettings:
     """One drive of a rig; every setting except the node-ID has a default.
 

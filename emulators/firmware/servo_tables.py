@@ -18,7 +18,7 @@ A tick's map acts on z = (current, u, speed, position, current demand, torque).
 `ServoGains` has the gains (P position, PI velocity, PI current, feedforward) and their tuning.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final, final
 
@@ -32,6 +32,7 @@ from motorhil.emulators.plant.dc_motor import (
     product,
     sample,
 )
+from motorhil.frozen import frozen
 
 # Flat tuples, in the order in which servo.run and servo.steps unpack them.
 TickTable = tuple[float, ...]
@@ -51,7 +52,7 @@ _LEAST: Final = 1e-6  # a guard of 0, as of a current loop without gains, bounds
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class ServoGains:
     """Gains of the cascade; velocities in encoder increments per second.
 

@@ -10,7 +10,6 @@ switch the search continues until it is stopped, as in the real drive.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
@@ -25,6 +24,7 @@ from motorhil.emulators.modbus.drive import (
 )
 from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
+from motorhil.frozen import frozen
 
 _FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x11, 0x2B)
 _JOG_NS: Final = 50_000_000  # a jog ends so long after the last word that commands it: *
@@ -409,7 +409,7 @@ class LeadshinePr(ModbusDrive):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class LeadshineTable(ModbusDriveTable):
     """A PR-mode drive (Leadshine) on a Modbus line."""
 

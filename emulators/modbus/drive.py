@@ -6,7 +6,6 @@ A `DriveBuilder` makes it an entry point.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, final
 
 from motorhil.emulators.controller import Controller, ControllerContext
@@ -21,6 +20,7 @@ from motorhil.emulators.plant.dc_motor import PI, RANGES, MotorPlant
 from motorhil.emulators.plant.oscillator import IDEAL, Oscillator
 from motorhil.emulators.settings.motor import MotorTable, axis_of
 from motorhil.emulators.settings.tables import BOOT_UP_S, POSITION_RAD, REPLY_S, ns
+from motorhil.frozen import frozen
 from motorhil.settings import (
     REQUIRED,
     Number,
@@ -37,7 +37,7 @@ _RAD_MAX: Final = 1e9
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ModbusTimingTable:
     """Delays of the drive."""
 
@@ -55,7 +55,7 @@ def _switch(doc: str) -> Any:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ModbusSwitchesTable:
     """Switches of the drive, by positions of the output."""
 
@@ -64,7 +64,7 @@ class ModbusSwitchesTable:
     limit_backward_rad: float | None = _switch("Backward limit switch")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ModbusDriveTable(MotorTable):
     """Keys of every Modbus drive; the table of a make derives from it."""
 
@@ -101,7 +101,7 @@ class ModbusDriveTable(MotorTable):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class ModbusDriveSettings:
     """One drive of a rig.
 

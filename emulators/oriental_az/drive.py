@@ -8,7 +8,7 @@ Its encoder is absolute: the drive knows its position from power-on, also after 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, final
 
 from motorhil.emulators.firmware import flags as f
@@ -22,6 +22,7 @@ from motorhil.emulators.modbus.drive import (
 from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
 from motorhil.emulators.oriental_az import registers as r
+from motorhil.frozen import frozen
 from motorhil.settings import flag
 
 _FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
@@ -280,7 +281,7 @@ class OrientalAz(ModbusDrive):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class OrientalTable(ModbusDriveTable):
     """An AZ drive (Oriental Motor) with direct data operation on a Modbus line."""
 

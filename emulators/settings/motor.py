@@ -10,7 +10,7 @@ motor that a rig can describe, with the same keys:
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Final, Protocol, final
 
 from motorhil.emulators.firmware.axis import Axis
@@ -26,6 +26,7 @@ from motorhil.emulators.settings.tables import (
     ns,
     plant_of,
 )
+from motorhil.frozen import frozen
 from motorhil.settings import KeyPath, SettingError, number, table, whole
 
 SERVO_S: Final = (1e-5, 0.02)
@@ -38,7 +39,7 @@ def _gain(unit: str, doc: str) -> Any:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ServoTable:
     """The servo: its periods, and gains in place of those tuned for the plant."""
 
@@ -100,7 +101,7 @@ def check_steps(plant: MotorPlant, tick_ns: int, current_steps: int, path: KeyPa
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class MotorSettings:
     """One motor of a rig, with the servo that drives it.
 
@@ -119,7 +120,7 @@ class MotorSettings:
     initial_position_rad: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class MotorTable:
     """Keys of every controller with one motor; a controller's own table derives from it."""
 

@@ -1,9 +1,10 @@
 """Protection settings of a drive in a rig: the table `protection`."""
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, ClassVar, Final, final
 
 from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.frozen import frozen
 from motorhil.settings import Rule, SettingError, number, whole, word
 
 STO_ERROR: Final = 0x8A88
@@ -14,7 +15,7 @@ _PATH: Final = ("protection",)
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class ProtectionSettings:
     """Thresholds and the vendor's choices.
 
@@ -44,7 +45,7 @@ def _celsius(default_c: float | None, doc: str) -> Any:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ProtectionTable:
     """When the drive disables itself, and how."""
 

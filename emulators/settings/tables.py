@@ -7,7 +7,7 @@ key or value is a SettingError with the keys down to it; the reader of the file 
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Final, final
 
@@ -16,6 +16,7 @@ from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
 from motorhil.emulators.plant.nonlinear import RANGES as EXTRAS_RANGES
 from motorhil.emulators.plant.oscillator import Oscillator
 from motorhil.emulators.plant.presets import PRESETS
+from motorhil.frozen import frozen
 from motorhil.settings import (
     REQUIRED,
     Declaration,
@@ -208,7 +209,7 @@ PLANT: Final = Declaration(
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class OscillatorTable:
     """The controller's own clock, by which it measures all its times; absent, it is exact."""
 
@@ -260,7 +261,7 @@ def ns(seconds: float) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ObjectValue:
     """The power-on value of an object in the rig; `key` as in the rig."""
 
@@ -287,7 +288,7 @@ class _Scalar:
         return ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class TimingTable:
     """Delays of a CANopen controller."""
 
@@ -299,7 +300,7 @@ class TimingTable:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class CanopenTable:
     """Keys of every CANopen controller."""
 

@@ -1,11 +1,11 @@
 """A CAN bus of a world: delivery of frames by identifier."""
 
 from collections.abc import Callable, Mapping
-from typing import Final, final
+from typing import final
 
 from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.bus.port import DELIVERED, HEARD, KIND_MASK, LOST, TOLD, hears
-from motorhil.emulators.can.controller_config import PLAIN, CanNode, FrameSupport
+from motorhil.emulators.can.controller_config import HOST, PLAIN, CanNode, FrameSupport
 from motorhil.emulators.can.fault_rules import FaultRule
 from motorhil.emulators.simulation.endpoints import (
     ControllerSlot,
@@ -15,8 +15,6 @@ from motorhil.emulators.simulation.endpoints import (
     port_of,
 )
 from motorhil.emulators.simulation.event_queue import Alarm
-
-HOST: Final = "host"  # name of the host's interface on every bus
 
 FrameTap = Callable[[str, int, str, bytes], None]
 

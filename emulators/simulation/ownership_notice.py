@@ -34,8 +34,9 @@ motors that share a node have node-ID + 256 times their channel each.
 """
 
 import struct
-from dataclasses import dataclass
 from typing import Final, final
+
+from motorhil.frozen import frozen
 
 GREETING: Final = b"motorhil-hub 1 "
 FD_GREETING: Final = b"motorhil-hub 2 "
@@ -62,7 +63,7 @@ _WORD_MAX: Final = 110  # four of them and the rest fit RECORD_MAX
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class OwnershipNotice:
     """A client's notice about the ownership of a motor.
 

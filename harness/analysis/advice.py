@@ -21,11 +21,12 @@ Margins of a bus: tolerated errors, and helpful bit rates and queues.
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from math import exp, expm1, lgamma, log, log1p
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.synchronization.bus_load import rank_of
 from motorhil.motorapi.synchronization.can_response_time import (
     NO_ERRORS,
@@ -49,7 +50,7 @@ Reserved = Callable[[int, bool], bool]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Change:
     """A new identifier of the same format for a message."""
 
@@ -63,7 +64,7 @@ class Change:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Proposal:
     """A proposal of identifier changes.
 
@@ -324,7 +325,7 @@ def more_errors_probability(errors: int, bits: int, bit_error_rate: float) -> fl
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Tolerance:
     """The number of errors that a message tolerates.
 

@@ -6,11 +6,12 @@ read. No motor moves.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.can.controller_config import QueueOrder
+from motorhil.frozen import frozen
 from motorhil.harness.analysis.advice import Reserved
 from motorhil.harness.analysis.subject import Queues, Subject, is_canopen_reserved, reserves_nothing
 from motorhil.harness.rig.bus_load import Declared, declared, heartbeats, syncs
@@ -31,7 +32,7 @@ _NOT_COUNTED: Final = "SDO, NMT, EMCY, LSS and single commands to drives are not
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Assumptions:
     """Assumptions that a rig's file does not contain.
 

@@ -28,6 +28,7 @@ from itertools import pairwise
 from math import floor, log10, sqrt
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.synchronization.bus_load import FD_LENGTHS
 from motorhil.motorapi.synchronization.can_frame_length import Bits
 from motorhil.motorapi.synchronization.can_response_time import Arrival, Message
@@ -76,7 +77,7 @@ class Heard:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Measured:
     """A message as measured in a recording.
 
@@ -231,7 +232,7 @@ def _ahead_ns(times: Iterable[int], period_ns: int) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Clock:
     """The measured clock of a message.
 

@@ -1,8 +1,9 @@
 """Subject of the analysis (a bus of a rig or a recording), and its results."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.analysis.advice import (
     Proposal,
     Reserved,
@@ -35,7 +36,7 @@ _STEPS: Final = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Queues:
     """The queueing of messages in nodes.
 
@@ -55,7 +56,7 @@ class Queues:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Sync:
     """A recorded SYNC: its identifier in the form of `Message.label`, and its clock."""
 
@@ -64,7 +65,7 @@ class Sync:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Subject:
     """A bus to analyse.
 
@@ -86,7 +87,7 @@ class Subject:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Remedy:
     """Measures that would bring every message in time.
 
@@ -102,7 +103,7 @@ class Remedy:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Findings:
     """The results for a bus.
 

@@ -104,7 +104,8 @@ def run(options: argparse.Namespace) -> int:
         RigError: an option or an EDS file cannot be used.
     """
     from motorhil.harness.rig.config.rig_file import read_rig
-    from motorhil.harness.rig.rig import Rig, installed_plugins
+    from motorhil.harness.rig.reading import installed_plugins
+    from motorhil.harness.rig.rig import Rig
     from motorhil.motorapi import MotorError
     from motorhil.traces.digest import digest
 
@@ -127,9 +128,13 @@ def run(options: argparse.Namespace) -> int:
     try:
         with rig:
             arrived = _drive(rig)
+            if options.against is not None:
+                arrived = _report_unanswered(rig) and arrived
             simulated_s = rig.runtime.now_ns() / 1e9
     except MotorError as error:  # the mast's party may raise it when the rig closes
-        _report_failure(rig, error)
+        causes = _report_failure(error)
+        if options.against is not None:
+            _report_unanswered(rig, causes)
         print(f"the record so far: {options.output}", file=sys.stderr)
         print(f"again: {_repeat_command(options, rig.seed)}", file=sys.stderr)
         return FAILED
@@ -163,11 +168,11 @@ def _drive(rig: "Rig") -> bool:
     arrived = _print_motors(rig, rover, peaks)
     _print_buses(rig)
     _print_groups(rig, rover)
-    return _report_unanswered(rig) and arrived
+    return arrived
 
 
-def _report_failure(rig: "Rig", error: BaseException | None) -> None:
-    """Print the failure, its cause first, and any part that recorded drives had in it."""
+def _report_failure(error: BaseException | None) -> str:
+    """Print the failure, its cause first; return all of it."""
     from motorhil.motorapi import MotorError
 
     causes = []
@@ -176,7 +181,7 @@ def _report_failure(rig: "Rig", error: BaseException | None) -> None:
         error = error.__context__
     for cause in causes:
         print(f"motorhil demo: {cause}", file=sys.stderr)
-    _report_unanswered(rig, " ".join(causes))
+    return " ".join(causes)
 
 
 def _run_two(options: argparse.Namespace) -> int:

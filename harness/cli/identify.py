@@ -3,10 +3,11 @@
 import argparse
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.cli.main import FAILED, PASSED
 from motorhil.harness.cli.options import print_table, real
 from motorhil.harness.identification.follower import LOOP_RAD_S
@@ -133,7 +134,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Found:
     """All that a recording shows of an axis.
 

@@ -12,13 +12,13 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 from io import TextIOWrapper
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.cli.printable import printable, printable_streams
 
 PASSED: Final = 0
@@ -33,7 +33,7 @@ _NO_PLACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Verb:
     name: str
     help: str

@@ -127,7 +127,7 @@ def _from_bus(source: Path, folder: Path, *, as_json: bool) -> int:
 
 def _excite(folder: Path, motor: str, *, as_json: bool) -> int:
     from motorhil.harness.identification.excitation import application_for, script_of
-    from motorhil.harness.rig.rig import describe, read_models
+    from motorhil.harness.rig.reading import describe, read_models
 
     rig = folder / "rig.toml"
     description = describe(rig)

@@ -6,9 +6,9 @@ Errors of numbers name the limits and the unit.
 import argparse
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.cli.printable import coloured, print_as_is, printable
 from motorhil.harness.rig.config.toml import SEED_MAX, one_line
 from motorhil.traces.files import MEMORY_MAX
@@ -114,7 +114,7 @@ def _mebibytes(text: str) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class GivenEds:
     """An EDS for a node of a recording: bus ("" for every bus), node-ID, file."""
 

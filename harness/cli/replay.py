@@ -249,7 +249,7 @@ def replay_as_device(options: argparse.Namespace) -> int:
 
 def _described(options: argparse.Namespace) -> "RigDescription":
     from motorhil.harness.replay.rig import with_recorded
-    from motorhil.harness.rig.rig import describe
+    from motorhil.harness.rig.reading import describe
 
     rig = describe(options.file if options.rig is None else options.rig)
     return with_recorded(rig, options.file, options.set_points)
@@ -378,7 +378,7 @@ def _pace(options: argparse.Namespace) -> "Pace":
 def _described_host(options: argparse.Namespace, folder: Path) -> "RigDescription":
     """Return the named rig, or the rig of the recording."""
     from motorhil.harness.replay.rig import own_rig
-    from motorhil.harness.rig.rig import describe, installed_plugins
+    from motorhil.harness.rig.reading import describe, installed_plugins
 
     if options.rig is not None:
         return describe(options.rig)

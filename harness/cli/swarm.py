@@ -22,7 +22,7 @@ from motorhil.harness.cli.progress import StatusLine
 from motorhil.harness.cli.viewing import Beside, add_view
 from motorhil.harness.cli.viewing import page_of as served_page
 from motorhil.harness.rig.config.toml import SEED_MAX, RigError
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.swarm.campaign import Campaign, checked_part, seeds_of, with_profile
 from motorhil.harness.swarm.engine import Cluster, dask, end_workers, local, run_chunk
 from motorhil.harness.swarm.kept import Kept, keep, kept_in, record_of

@@ -6,10 +6,10 @@ recording; if those count from 1970, a small number counts from the recording's 
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.cli.options import time_ns
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.traces.errors import TraceError
@@ -22,7 +22,7 @@ Span = tuple[int, int]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Moment:
     """A time as it was written.
 

@@ -11,13 +11,13 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, final
 
 import motorhil
+from motorhil.frozen import frozen
 from motorhil.harness.cli.options import whole
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.traces.mcap.writer import CHUNK_NS
@@ -127,7 +127,7 @@ def record_for(output: Path | None, is_watched: bool) -> Iterator[Path | None]:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Beside:
     """The process of a page beside this one.
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.settings import Declaration
 
@@ -65,7 +65,7 @@ class Announced(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stated:
     """The settings of a motor or of its drive, as the bench states them.
 

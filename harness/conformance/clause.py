@@ -17,10 +17,11 @@ work is a failure. A verdict says how one check ended.
 
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from enum import Enum, IntEnum
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.rig.config.conformance import Capability
 
@@ -70,7 +71,7 @@ def expect(holds: bool, seen: str) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Clause:
     """One promise of the motor interface.
 
@@ -158,7 +159,7 @@ class Result(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Diagnosis:
     """The likely cause of a failure, with the evidence.
 
@@ -181,7 +182,7 @@ def without_numbers(text: str) -> str:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Verdict:
     """The verdict on one clause.
 

@@ -9,10 +9,11 @@ import shlex
 import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.benches.variations import OWN
 from motorhil.harness.conformance.clause import Result, Verdict
 from motorhil.harness.conformance.job import Promise
@@ -24,7 +25,7 @@ _HANGS_SOONER: Final = 0.1
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Finding:
     """The result of the examination of one clause.
 

@@ -1,12 +1,14 @@
 """The job of a worker, and the description of it that the worker returns."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Self, final
+
+from motorhil.frozen import frozen
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Job:
     """The adaptation and the rig to test.
 
@@ -36,7 +38,7 @@ class Job:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Promise:
     """A clause without its check; see `clause.Clause`."""
 
@@ -47,7 +49,7 @@ class Promise:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Loaded:
     """The worker's description of its job after loading.
 

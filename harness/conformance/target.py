@@ -30,7 +30,7 @@ from motorhil.harness.plugins import ADAPTATIONS, installed, is_target, named
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
 from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig, read_rig
 from motorhil.harness.rig.config.toml import BrokenPluginError, RigError, Source, a_kind_of
-from motorhil.harness.rig.rig import describe, installed_plugins
+from motorhil.harness.rig.reading import describe, installed_plugins
 from motorhil.settings import listed, nearest
 
 _LIVE_DEADLINE_S: Final = 120.0

@@ -1,9 +1,9 @@
 """Requests of a page: what a hand asks for, checked like the tables of a rig file."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.settings import (
     REQUIRED,
     SettingError,
@@ -19,19 +19,19 @@ _KEYS_MAX: Final = 1_000  # characters
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Stop:
     """Let time stand still."""
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Continue:
     """Let time pass again."""
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Step:
     """Let a duration pass, and then stop time."""
 
@@ -39,7 +39,7 @@ class Step:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Speed:
     """Let time pass at another pace."""
 
@@ -49,7 +49,7 @@ class Speed:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Stimulate:
     """Set an input of a controller."""
 
@@ -59,7 +59,7 @@ class Stimulate:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Inject:
     """Begin a fault of a bus; its further keys are TOML, as in a rig file."""
 
@@ -91,7 +91,7 @@ class Inject:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class Mend:
     """End a fault that a hand began."""
 

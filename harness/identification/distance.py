@@ -6,11 +6,11 @@ positions. A controller tracks positions whatever its plant is: the torque tells
 plants are. Torques are averaged over `SMOOTH_S`, because a servo makes ripple of its own.
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
+from motorhil.frozen import frozen
 from motorhil.harness.identification.samples import on_grid, usual_period_ns
 from motorhil.harness.report.motors import Line, Motor, Plot
 
@@ -25,7 +25,7 @@ _LEAST: Final = 50  # samples in common
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Distance:
     """The distance of one quantity of one motor in two recordings.
 
@@ -45,7 +45,7 @@ class Distance:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Shift:
     """How much later the second recording is [s], and its positions are higher."""
 

@@ -11,7 +11,6 @@ amplifier suit every plant. The amplifier is nearly ideal: it adds no inertia an
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import atan2, hypot
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -21,6 +20,7 @@ from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.servo_tables import ServoGains
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.nonlinear import NO_EXTRAS, PlantExtras
+from motorhil.frozen import frozen
 from motorhil.harness.identification.inverse_model import GRAVITY
 from motorhil.harness.identification.samples import Samples
 
@@ -44,7 +44,7 @@ _LAG_STEPS: Final = 0.5  # of the current loop, which reaches its demand in one 
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Motion:
     """A recorded motion at the ticks of the drive that follows it.
 

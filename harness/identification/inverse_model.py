@@ -14,11 +14,11 @@ nonlinear system identification benchmarks; Gautier, "Dynamic identification of 
 model", ICRA 1997.
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from motorhil.frozen import frozen
 from motorhil.harness.identification.samples import Samples
 from motorhil.harness.rig.config.toml import RigError
 
@@ -46,7 +46,7 @@ _MOVES: Final = 0.02  # of the highest speed: below it the axis rests, as far as
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Parameter:
     """A parameter of the model.
 
@@ -71,7 +71,7 @@ class Parameter:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fit:
     """A fitted model.
 
@@ -104,7 +104,7 @@ class Fit:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Terms:
     """Both sides of the model's equation, filtered and decimated.
 

@@ -15,11 +15,12 @@ Instrumental Variable Approach for Industrial Robot Identification", IEEE Trans.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from motorhil.frozen import frozen
 from motorhil.harness.identification.follower import (
     LOOP_RAD_S,
     Motion,
@@ -92,7 +93,7 @@ def _delay(value: float, deviation: float, period_s: float) -> Parameter:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Comparison:
     """Recorded and emulated efforts of one motion, low-passed to the band of the drive's loop.
 

@@ -12,11 +12,11 @@ Source: Ellis, "Control System Design Guide" (2012), ch. 16, compliance and reso
 Piersol, "Random Data" (2010), ch. 6, frequency response by cross-spectra.
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
+from motorhil.frozen import frozen
 from motorhil.harness.identification.samples import Samples
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _TURN: Final = 2.0 * np.pi
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Resonance:
     """An elastic coupling, as seen from the motor.
 

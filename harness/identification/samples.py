@@ -4,19 +4,20 @@ Positions and efforts come from what the application or the drive said, never fr
 drive's true state, unless this is asked for.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
+from motorhil.frozen import frozen
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.report.collect import collect
 from motorhil.harness.report.motors import Line, Motor, motors_of
 from motorhil.harness.report.series import Track
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.rig.recording import files_of
-from motorhil.harness.rig.rig import describe
 from motorhil.settings import listed, nearest
 from motorhil.traces.errors import TraceError
 from motorhil.traces.mcap.records import Attachment
@@ -52,7 +53,7 @@ class Told(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Samples:
     """Evenly spaced samples of one motor.
 
@@ -89,7 +90,7 @@ class Samples:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class Reading:
     """How to read a recording.
 

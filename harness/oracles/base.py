@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import ClassVar, Final, TypeVar, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.oracles.facts import Facts, Subject
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.can_errors import BusError
@@ -45,7 +46,7 @@ class Verdict(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Violation:
     """One violation of a promise.
 
@@ -85,7 +86,7 @@ class Violation:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Finding:
     """The result of one oracle for one recording.
 

@@ -22,10 +22,11 @@ Limits of a model apply to commands. Limits of a file apply to measured values.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import Table, read_source
 from motorhil.harness.rig.recording import named_files
 from motorhil.settings import Declaration, Key, Number, Rule, Text, given
@@ -68,7 +69,7 @@ _LIMITS: Final = Declaration(
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Subject:
     """A motor.
 
@@ -102,7 +103,7 @@ class Subject:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Facts:
     """The facts known beforehand.
 

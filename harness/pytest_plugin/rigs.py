@@ -21,7 +21,9 @@ from motorhil.harness.pytest_plugin.options import (
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.replay.verdict import summary, unanswered
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import NoSuchName, Rig, describe
+from motorhil.harness.rig.names import NoSuchName
+from motorhil.harness.rig.reading import describe
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.rig.script import is_on_purpose, is_own_file
 from motorhil.harness.swarm.pytest_run import WATCHER, Watcher
 from motorhil.traces.errors import TraceError

@@ -4,12 +4,12 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import BinaryIO, Final, cast, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import MEMORY_MAX, head_of, refuse_others, whole_file
 from motorhil.traces.formats.frames import Findings
@@ -34,7 +34,7 @@ _WITH_MODBUS: Final = ("mcap", "pcap")
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Conversion:
     """The result of a conversion.
 

@@ -8,13 +8,13 @@ and frames, which replay needs too.
 import re
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol, final
 
 import can
 from can import CanError
 
+from motorhil.frozen import frozen
 from motorhil.harness.python_can.hub_client import HubLink
 from motorhil.traces.can_frame import BRS, EFF, ERR, ESI, RTR, classic, flexible, remote
 from motorhil.traces.mcap.chunk import Entry
@@ -48,7 +48,7 @@ class Kind(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Place:
     """A bus to record from or to send to.
 

@@ -21,7 +21,6 @@ Serial Line V1.02, section 2; Application Protocol V1.1b3, section 7.
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -29,6 +28,7 @@ from typing import ClassVar, Final, final
 
 from motorhil.emulators.controller import Controller, ControllerContext
 from motorhil.emulators.modbus.rtu import crc16, with_crc
+from motorhil.frozen import frozen
 from motorhil.harness.replay.device_drive import RecordedDrive, RecordedServo
 from motorhil.harness.replay.player import ExchangePlayer
 from motorhil.harness.replay.recorded_controller import RecordedController, timed_log
@@ -326,7 +326,7 @@ class RecordedUnit(RecordedController):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class RecordedTable:
     """A controller that a recording stands in for."""
 

@@ -18,6 +18,7 @@ from fractions import Fraction
 from typing import Final, Protocol, final
 
 from motorhil.emulators.can.frame_length import INTERMISSION_BITS, LENGTHS_MASK, measure, phases_of
+from motorhil.frozen import frozen
 from motorhil.motorapi.runtime.api import Runtime
 from motorhil.traces.can_frame import EFF_MASK, ERR
 from motorhil.traces.decoding.canopen import CanopenDecoder
@@ -63,7 +64,7 @@ class Sink(Protocol):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Choice:
     """Selection of the frames that pass every given filter.
 

@@ -20,13 +20,14 @@ import sys
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Protocol, final
 
 from motorhil.emulators.can.frame import FRAME_BYTES
+from motorhil.frozen import frozen
 from motorhil.harness.plugins import CONTROLLERS, named, own_eds
 from motorhil.harness.recording.decoders import described_nodes, description_for
 from motorhil.harness.replay.frames import PAUSE_MAX_S, STRAY_NS, Pauses, duration_ns, never
@@ -90,7 +91,7 @@ _SDO_REQUEST: Final = 12  # function code of the pre-defined connection set
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Missed:
     """An observation that did not arrive: when it was given up, and the last one heard instead."""
 
@@ -443,7 +444,7 @@ class Driven(Protocol):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pace:
     """The pace of a replayed host.
 
@@ -459,7 +460,7 @@ class Pace:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Bench:
     """The known facts about the devices of a rig.
 
@@ -564,7 +565,7 @@ def _copy(trace: Trace, writer: TraceWriter, renamed: Mapping[str, str], pitch_n
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Reading:
     """How to read a recording and its replay alike.
 
@@ -583,7 +584,7 @@ class Reading:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class HostReplay:
     """A finished replay of a host.
 

@@ -11,10 +11,10 @@ frame of each identifier is sent, at once.
 
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.exchange.steps import ExchangeLog, Key, Role, Sent, Step
 
 LOOK_AHEAD: Final = 64
@@ -25,7 +25,7 @@ _OVERTIME: Final = 6  # quarters of a period after which a periodic frame counts
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Mismatch:
     """A command that the recording cannot answer.
 

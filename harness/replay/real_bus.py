@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Self, final
 
 import can
 
-from motorhil.emulators.simulation.can_network import HOST
+from motorhil.emulators.can.controller_config import HOST
 from motorhil.harness.python_can.hub_client import HubLink
 from motorhil.harness.python_can.messages import to_message
 from motorhil.harness.recording.socketcan import open_interface

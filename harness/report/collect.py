@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.report.buses import CanBus, ModbusLine, Nodes, SerialLine, Traffic
 from motorhil.harness.report.incidents import Incidents, Severity
 from motorhil.harness.report.series import (
@@ -68,7 +69,7 @@ _BAD_ACTIONS: Final = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class GroupMoment:
     """One message of `/group/<name>/sync`, with its time from the recording's beginning [ns]."""
 

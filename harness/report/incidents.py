@@ -1,9 +1,10 @@
 """Incidents of a recording: faults, events, commands; limited in number, not in time."""
 
 from collections import Counter
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, final
+
+from motorhil.frozen import frozen
 
 KEPT: Final = 2_000
 """Limit for each kind; a longer list is not readable. Above, they are thinned out evenly."""
@@ -19,7 +20,7 @@ class Severity(IntEnum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Incident:
     """One incident.
 

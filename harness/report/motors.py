@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.report.buses import Place, Told
 from motorhil.harness.report.collect import Findings
 from motorhil.harness.report.series import Track, difference, differences, shortest_step_ns
@@ -41,7 +42,7 @@ class Scale(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Line:
     """One line of a plot.
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.report.buses import nmt_text
 from motorhil.harness.report.collect import Findings
 from motorhil.harness.report.motors import Motor
@@ -13,7 +14,7 @@ from motorhil.traces.semantics.ownership import Ended, LockEvent, ownership_of
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Bar:
     """One bar: begin and end [ns from the recording's beginning], number of its word, details."""
 

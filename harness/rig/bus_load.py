@@ -1,9 +1,9 @@
 """Traffic on the buses of a rig: declared messages, and those of its controllers."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.bus_load import MESSAGES
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 from motorhil.motorapi.synchronization.bus_load import (
@@ -23,7 +23,7 @@ _SENDS_SYNC: Final = 1 << 30
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Declared:
     """A declared message, with data that only the response-time analysis needs.
 

@@ -1,16 +1,16 @@
 """Faults of an open rig, to inject and to query."""
 
-from dataclasses import dataclass
 from typing import final
 
 from motorhil.emulators.can.error_confinement import ErrorState
 from motorhil.emulators.can.fault_rules import FaultRule
 from motorhil.emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
 from motorhil.emulators.simulation.world import World
+from motorhil.frozen import frozen
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class NodeState:
     """The state of a node of a CAN bus.
 

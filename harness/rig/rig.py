@@ -11,16 +11,15 @@ the rig file that uses them.
 """
 
 import os
-import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from random import Random
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 from motorhil.emulators.can.bus.bus import CanBus
 from motorhil.emulators.can.bus.fault_plan import FaultPlan
@@ -29,51 +28,42 @@ from motorhil.emulators.can.fault_rules import FaultRule
 from motorhil.emulators.controller import Controller, ControllerContext, SettingError
 from motorhil.emulators.media.byte_pipe import BytePipe
 from motorhil.emulators.media.serial_faults import SerialFaultPlan, SerialFaultRule
-from motorhil.emulators.media.serial_line import SerialLine
 from motorhil.emulators.settings.tables import OscillatorTable
 from motorhil.emulators.simulation.event_queue import EventQueue
 from motorhil.emulators.simulation.world import World
 from motorhil.harness.plugins import (
-    ADAPTATIONS,
     CONTROLLERS,
-    Plugin,
-    PluginVersionError,
-    installed,
     named,
 )
 from motorhil.harness.rig.acts import Acts
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.buses import (
-    CAN,
-    MODBUS_RTU,
     MODBUS_TCP,
     BusDescription,
-    address_key,
 )
-from motorhil.harness.rig.config.derived import settings_with_model, with_timing
+from motorhil.harness.rig.config.derived import settings_with_model
 from motorhil.harness.rig.config.plausibility import doubts_of
 from motorhil.harness.rig.config.rig_file import (
     ControllerDescription,
-    Known,
     MotorDescription,
     RigDescription,
-    read_rig,
 )
 from motorhil.harness.rig.config.toml import (
     SEED_MAX,
-    BrokenPluginError,
     RigError,
     a_kind_of,
     refuse_source,
 )
 from motorhil.harness.rig.config.units import Comparison, compare_units, require_units
 from motorhil.harness.rig.faults import RigFaults
-from motorhil.harness.rig.fragment import read_fragment
+from motorhil.harness.rig.lines import serial_line
+from motorhil.harness.rig.names import Named
 from motorhil.harness.rig.nonvolatile import MemoryFiles
+from motorhil.harness.rig.plugins import RigPlugins
+from motorhil.harness.rig.reading import describe, read_models
 from motorhil.harness.virtual_time.interrupts import interrupts_between_events
 from motorhil.harness.virtual_time.runtime import VirtualRuntime, WallPace
-from motorhil.motorapi.errors import FileError, UsageError
-from motorhil.motorapi.model import MotorModel
+from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 from motorhil.settings import read
 from motorhil.traces.mcap.writer import CHUNK_NS
@@ -84,12 +74,8 @@ if TYPE_CHECKING:
     from motorhil.harness.recording.recorder import Recorder
     from motorhil.motorapi.group import MotorGroup
     from motorhil.motorapi.motor import Motor
-    from motorhil.motorapi.runtime.api import Runtime
 
-T = TypeVar("T")
 _IN_A_TEST: Final = "PYTEST_CURRENT_TEST"  # a test may end where it likes
-_OF_MOTORS: Final = ("close", "latest", "ownership")
-"""Attributes by which a rig recognises a motor; wrappers of motors have them too."""
 
 
 @final
@@ -117,50 +103,6 @@ class RigController:
     def snapshot(self) -> Mapping[str, float]:
         """Return the true state now, units in the keys. Has no side effects."""
         return self._world.snapshot(self.name)
-
-
-@final
-class NoSuchName(KeyError):  # noqa: N818 -- it says what happened, as the errors of motorapi
-    """A rig has no such motor, controller, bus or group; the message names the known ones."""
-
-    def __str__(self) -> str:
-        return str(self.args[0])
-
-
-@final
-class Named(Mapping[str, T], Generic[T]):
-    """Things of a rig by name, each created on first use, in the order of the file."""
-
-    def __init__(self, what: str, names: Iterable[str], make: Callable[[str], T]) -> None:
-        self._kind = what
-        self._names = tuple(names)
-        self._make = make
-        self._made: dict[str, T] = {}
-
-    def __getitem__(self, name: str) -> T:
-        """Return the thing of this name.
-
-        Raises:
-            NoSuchName: the name is unknown; a KeyError that names the known ones.
-        """
-        if name not in self._made:
-            if name not in self._names:
-                known = ", ".join(self._names) or "none"
-                raise NoSuchName(f"this rig has no {self._kind} {name!r} (known: {known})")
-            self._made[name] = self._make(name)
-        return self._made[name]
-
-    def __repr__(self) -> str:
-        return f"<{self._kind}s of the rig: {', '.join(self._names) or 'none'}>"
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 def add_bus(
@@ -197,12 +139,6 @@ def add_bus(
     world.add_serial_line(serial_line(bus, line_plan), line_plan)
 
 
-def serial_line(bus: "BusDescription", plan: SerialFaultPlan | None = None) -> SerialLine:
-    """Return the wires of a serial line of a rig."""
-    settings = (bus.bitrate_bit_s, bus.parity, bus.stop_bits)
-    return SerialLine(bus.name, *settings, plan, silences=bus.kind == MODBUS_RTU)
-
-
 def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, int]:
     """Return the clock errors of a bus's controllers by name [1e-12]; positive runs fast.
 
@@ -217,160 +153,6 @@ def own_clocks(description: "RigDescription", bus: str, seed: int) -> dict[str, 
                 if own.error_1e12:
                     clocks[controller.name] = own.error_1e12
     return clocks
-
-
-def read_models(description: RigDescription) -> dict[str, MotorModel]:
-    """Read the models of all motors, each file once. Raises as `_model` does."""
-    files: dict[Path, MotorModel] = {}
-    models: dict[str, MotorModel] = {}
-    for name, motor in description.motors.items():
-        model = files.get(motor.model) if isinstance(motor.model, Path) else None
-        models[name] = _model(description, name) if model is None else model
-        if isinstance(motor.model, Path):
-            files[motor.model] = models[name]
-    return models
-
-
-def _model(description: RigDescription, motor: str) -> MotorModel:
-    """Read the motor's model from its own file or from the rig.
-
-    Raises:
-        RigError: the model has an error; names its file and line.
-    """
-    described: MotorDescription = description.motors[motor]
-    path = ("motor", motor, "model")
-    try:
-        if isinstance(described.model, Path):
-            return MotorModel.load(described.model)
-        return MotorModel.from_table(
-            described.model,
-            path=str(description.source.path),
-            line_of=lambda key: description.source.line((*path, key)),
-            default_name=motor,
-        )
-    except FileError as error:
-        key = error.key or ""
-        if not isinstance(described.model, Path):
-            at = (*path, key) if key else path
-            raise description.error(at, error.problem, error.remedy) from None
-        raise RigError(error.path, error.problem, error.remedy, line=error.line, key=key) from None
-
-
-@final
-class RigPlugins:
-    """The plugins that build the controllers and motors of one rig."""
-
-    def __init__(self, description: RigDescription) -> None:
-        self._description: Final = description
-
-    def load(self, plugin: Plugin, path: tuple[str, ...]) -> Callable[..., Any]:
-        """Return the build function of the plugin that the value at `path` names.
-
-        Raises:
-            BrokenPluginError: the plugin cannot be imported.
-        """
-        try:
-            return plugin.load()
-        except PluginVersionError as error:
-            problem = f'plugin "{plugin.name}" ({plugin.target}) {error.problem}'
-            raise self._description.error(path, problem, error.remedy, BrokenPluginError) from error
-        except (Exception, SystemExit) as error:
-            raise self._description.error(
-                path,
-                f'plugin "{plugin.name}" cannot be loaded from {plugin.target}: '
-                f"{type(error).__name__}: {error}",
-                f"reinstall {plugin.package}" if plugin.package else "is its folder on PYTHONPATH?",
-                BrokenPluginError,
-            ) from error
-
-    def require_kind(
-        self, build: Callable[..., Any], bus: str, what: str, path: tuple[str, ...]
-    ) -> None:
-        """Check that the built object can be on a bus of this kind.
-
-        Raises:
-            RigError: it cannot.
-        """
-        kinds = getattr(build, "bus_kinds", (CAN,))
-        found = self._description.buses[bus].kind
-        if found not in kinds:
-            raise self._description.error(
-                path,
-                f'{what} is for buses of kind {", ".join(kinds)}, but "{bus}" is {found}',
-                "put it on another bus, or use another kind",
-            )
-
-    @contextmanager
-    def blaming(self, plugin: Plugin, path: tuple[str, ...]) -> Iterator[None]:
-        """Raise any error within the context, except RigError, as the plugin's failure."""
-        try:
-            yield
-        except RigError:
-            raise
-        except (Exception, SystemExit) as error:
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            raise self._description.error(
-                path,
-                f'plugin "{plugin.name}" failed: {type(error).__name__}: {error} '
-                f"({frame.filename}:{frame.lineno})",
-                f"fix it, or report it to the author of {plugin.package or 'the plugin'}",
-                BrokenPluginError,
-            ) from error
-
-    def motor(
-        self,
-        name: str,
-        model: "MotorModel",
-        runtime: "Runtime",
-        open_link: Callable[[str], object],
-        controller: "Controller | None" = None,
-    ) -> "tuple[Motor, Callable[[], None], str]":
-        """Return a motor of the rig, the function that closes it, and a note about it, or "".
-
-        Args:
-            name: its name in the rig.
-            model: its model.
-            runtime: the Runtime in which it waits.
-            open_link: returns the bus or line of a name.
-            controller: its emulated controller, if that is in the same process.
-
-        Raises:
-            RigError: the motor cannot be built as the rig describes it.
-        """
-        description = self._description
-        motor = description.motors[name]
-        place = ("motor", name)
-        plugin = named(ADAPTATIONS, motor.adaptation)
-        build = self.load(plugin, (*place, "adaptation"))
-        own, note = with_timing(description, motor, controller)
-        settings: dict[str, object] = {"name": name, **own}
-        link: object = None
-        if motor.bus is not None:
-            key = "bus" if motor.controller is None else "controller"
-            what = f'adaptation "{motor.adaptation}"'
-            self.require_kind(build, motor.bus, what, (*place, key))
-            link = open_link(motor.bus)
-            if motor.node_id is not None:
-                settings[address_key(description.buses[motor.bus])] = motor.node_id
-        with self.blaming(plugin, (*place, "adaptation")):
-            try:
-                built: Motor = build(link, settings, model, runtime)
-            except UsageError as error:
-                cause = error.__cause__
-                if isinstance(cause, SettingError):
-                    wrong = cause.below(place)
-                    raise description.error(wrong.path, wrong.message, wrong.remedy) from error
-                word = str(error).partition(" ")[0].rstrip(":")  # usually the wrong key
-                path = (*place, word) if word in settings else place
-                raise description.error(path, str(error), "correct its settings") from error
-        if isinstance(built, type) or not all(hasattr(built, one) for one in _OF_MOTORS):
-            raise description.error(
-                (*place, "adaptation"),
-                f'plugin "{plugin.name}" built {a_kind_of(built)}, which is not a motorapi.Motor',
-                "its function must return a motorapi.Motor",
-                BrokenPluginError,
-            )
-        return built, built.close, note
 
 
 @final
@@ -735,40 +517,3 @@ class Rig:
 
             watch_group(self.recording, group, name, self.world)
         return group
-
-
-def describe(path: Path, world: Path | None = None) -> RigDescription:
-    """Read a rig file, or the rig in a recording.
-
-    Args:
-        path: a rig file, or a recording.
-        world: a fragment for the rig file, or a recording that has one.
-
-    Raises:
-        RigError: the rig cannot be used.
-    """
-    from motorhil.traces.mcap.records import is_recording
-
-    known = installed_plugins()
-    if is_recording(path):
-        if world is not None:
-            raise RigError(path, "is a recording; no world disturbs it", "name a rig file")
-        from motorhil.harness.replay.rig import rig_in
-
-        return rig_in(path, known)
-    if path.suffix == ".mcap" and path.exists():
-        raise RigError(path, "is not a recording (MCAP)", "give a recording, or a rig file (TOML)")
-    return read_rig(path, known, None if world is None else read_fragment(world))
-
-
-def installed_plugins() -> Known:
-    """Return the plugins of this Python environment that a rig may name."""
-
-    def needs_bus(adaptation: str) -> bool | None:
-        try:
-            build = named(ADAPTATIONS, adaptation).load()
-        except (Exception, SystemExit):
-            return None
-        return getattr(build, "needs_bus", True) is not False
-
-    return Known(tuple(installed(CONTROLLERS)), tuple(installed(ADAPTATIONS)), needs_bus)

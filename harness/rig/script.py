@@ -8,14 +8,14 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Final, Self, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import NoSuchName
+from motorhil.harness.rig.names import NoSuchName
 from motorhil.harness.virtual_time.interrupts import exit_handlers
 from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.harness.virtual_time.stdlib.threads import join_executors
@@ -36,7 +36,7 @@ OnError = Callable[[BaseException, str], None]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Script:
     """A Python program: its name in tracebacks, its source and its folder."""
 

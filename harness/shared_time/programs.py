@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from motorhil.harness.rig.config.buses import MODBUS_TCP
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import serial_line
+from motorhil.harness.rig.lines import serial_line
 from motorhil.harness.shared_time.binaries import BinaryError, preload
 from motorhil.harness.shared_time.shared_clock import (
     RIG_VARIABLE,

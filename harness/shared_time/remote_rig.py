@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Final, Self, final
 from motorhil.harness.python_can.bus import EmulatedBus, close_rig, open_rig
 from motorhil.harness.python_can.line import EmulatedLine
 from motorhil.harness.rig.bus_load import traffic_of
-from motorhil.harness.rig.rig import Named, RigPlugins, describe, read_models
+from motorhil.harness.rig.names import Named
+from motorhil.harness.rig.plugins import RigPlugins
+from motorhil.harness.rig.reading import describe, read_models
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.remote_runtime import RemoteLink, RemoteRuntime
 from motorhil.harness.shared_time.remote_world import RemoteWorld

@@ -1,12 +1,12 @@
 """Buses and lines of a rig in another process, as its programs see them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.emulators.simulation.ownership_notice import OwnershipNotice, pack_owns
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.buses import MODBUS_TCP
-from motorhil.harness.rig.rig import serial_line
+from motorhil.harness.rig.lines import serial_line
 from motorhil.harness.shared_time import records
 from motorhil.harness.shared_time.records import PortFlags
 from motorhil.motorapi.errors import UsageError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class RemoteBus:
     """Facts of a bus that a program knows: its data bit rate [bit/s], None for classical CAN."""
 

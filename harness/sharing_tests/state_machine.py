@@ -38,7 +38,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.harness.rig.config.rig_file import RigDescription, read_rig
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.sharing_tests.history import (
     Action,
     Answer,

@@ -16,9 +16,10 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Set
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn, final
+
+from motorhil.frozen import frozen
 
 CLOSED: Final = 121
 """Exit status of a child whose answer could not be sent: its file descriptors were closed."""
@@ -37,7 +38,7 @@ _prctl = ctypes.CDLL(None).prctl if sys.platform == "linux" else None
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Ended:
     """The end of a child.
 

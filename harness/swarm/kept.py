@@ -4,11 +4,11 @@ import hashlib
 import os
 import re
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.plan import FUNCTION, PROGRAMS, PYTEST, Plan, Program
 from motorhil.harness.swarm.report.sentences import story
@@ -23,7 +23,7 @@ _COLUMNS: Final = 88
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Kept:
     """A failure in files.
 

@@ -8,12 +8,13 @@ import hashlib
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from motorhil.frozen import frozen
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.rig.recording import digest_of, files_of
-from motorhil.harness.rig.rig import describe
 from motorhil.harness.swarm.worlds.profile import Profile, profile_from
 from motorhil.harness.version import source_digest, version
 
@@ -34,7 +35,7 @@ WALL_S: Final = 60.0
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Program:
     """The application of a campaign.
 
@@ -68,7 +69,7 @@ class Program:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Plan:
     """A campaign, without its seeds.
 

@@ -2,10 +2,11 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from enum import Enum
 from typing import Any, Final, TypeVar, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.swarm.worlds.disturbance import World, from_table
 from motorhil.harness.swarm.worlds.marks import Traffic, traffic_from
 
@@ -26,7 +27,7 @@ class Result(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Row:
     """The result of one world.
 

@@ -2,15 +2,15 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.swarm.row import CANARY, Result, Row
 from motorhil.harness.swarm.worlds.shrinking import cause_of
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Cause:
     """Failures of one cause.
 
@@ -37,7 +37,7 @@ class Cause:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Strikes:
     """Disturbances of one kind over a campaign.
 
@@ -53,7 +53,7 @@ class Strikes:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Summary:
     """Findings of a campaign.
 

@@ -17,6 +17,7 @@ from shutil import copyfile
 from tempfile import TemporaryDirectory
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.oracles.base import Verdict, Violation
 from motorhil.harness.oracles.facts import Facts, subjects_in
 from motorhil.harness.oracles.judge import judge
@@ -25,8 +26,9 @@ from motorhil.harness.rig.config.rig_file import Known, RigDescription, read_rig
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import UNDECLARED
 from motorhil.harness.rig.fragment import read_fragment
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.harness.rig.recording import files_of
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.rig.script import (
     Script,
     exit_status,
@@ -59,7 +61,7 @@ _PYTEST: Final = f"{os.sep}_pytest{os.sep}"
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Failure:
     """Something that a run did wrong.
 

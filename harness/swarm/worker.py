@@ -29,7 +29,7 @@ from tempfile import gettempdir, mkdtemp
 from typing import Any, Final, TextIO, final
 
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.swarm.child import (
     CLOSED,
     adopt_orphans,

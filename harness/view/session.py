@@ -6,9 +6,10 @@ position of the record after it (see `stream`), so equal positions mean equal pi
 
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.report.collect import BOUND, Collector, Findings
 from motorhil.harness.report.document import Json
 from motorhil.harness.report.incidents import Severity
@@ -29,7 +30,7 @@ _NEVER: Final = -(1 << 62)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Subject:
     """Facts of a record that are known before its messages.
 

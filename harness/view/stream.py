@@ -6,15 +6,16 @@ last position; it gets the events after that, or None if they are no longer here
 """
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Final, final
+
+from motorhil.frozen import frozen
 
 EVENTS_MAX: Final = 600
 BYTES_MAX: Final = 16_000_000
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Event:
     """One event: the position after it, its kind, and its data without line ends."""
 

@@ -19,6 +19,7 @@ from enum import Enum
 from math import copysign, floor, pi
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, TypeVar, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.api.line_exchanges import Exchange
 from motorhil.motorapi.api.line_unit import LineUnit
 from motorhil.motorapi.commands import ControlVariable
@@ -44,7 +45,7 @@ _ROUNDING_SHARE: Final = 4e-16  # likewise, of a large one
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Poll:
     """The status of a drive at `time_ns`, in SI units of the motor.
 

@@ -5,10 +5,11 @@ Third parties may use them for adaptations of their own.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar, cast, final
 from weakref import WeakValueDictionary
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import UsageError
 from motorhil.settings import SettingError, check, read
@@ -159,7 +160,7 @@ class Shared(Generic[HardwareT]):
             hardware.close()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class Options:
     """Base of options: a class of settings whose objects applications make as well."""
 

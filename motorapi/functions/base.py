@@ -28,7 +28,6 @@ The rules, for every function `f`:
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import inf
 from sys import float_info
 from typing import Final, NoReturn, TypeAlias, final, overload
@@ -36,6 +35,7 @@ from typing import Final, NoReturn, TypeAlias, final, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import DomainError, UsageError
 
@@ -46,7 +46,7 @@ _TOLD: Final = 80  # maximum length of a function in a message
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Extrema:
     """The minimum and maximum over an interval, each with one of its arguments."""
 

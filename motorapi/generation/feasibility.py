@@ -6,11 +6,12 @@ if a function is given.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlVariable, DerivativeLimits, Range
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.generation.limits import ProfileLimits
@@ -36,7 +37,7 @@ _PLAIN: Final = ("value", "first derivative", "second derivative", "third deriva
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Allowed:
     """Ranges of a value and its derivatives, with their names.
 
@@ -144,7 +145,7 @@ def _common(one: Range, other: Range | None) -> Range:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Violation:
     """One limit that a motion would exceed.
 
@@ -196,7 +197,7 @@ class Violation:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Feasibility:
     """The violations of a motion, those of the first derivative first; true if there are none."""
 

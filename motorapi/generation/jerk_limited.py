@@ -14,12 +14,12 @@ L. Berscheid, T. Kröger, Jerk-limited Real-time Trajectory Generation with Arbi
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from itertools import pairwise
 from math import inf, isfinite, sqrt
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import PluginError, UnsupportedError, UsageError
 from motorhil.motorapi.generation.limits import ProfileLimits
 
@@ -36,7 +36,7 @@ Phase: TypeAlias = tuple[float, float]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class SmoothTask:
     """Two states and the limits between them, checked.
 

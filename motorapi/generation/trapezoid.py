@@ -53,10 +53,10 @@ trapezoidal trajectories with non-null initial and final velocities; asymmetric 
 motions follow in the same way. U is one unit of length (rad or m) throughout.
 """
 
-from dataclasses import dataclass
 from math import inf, isfinite, sqrt
 from typing import TYPE_CHECKING, Final, TypeAlias, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import Range
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.generation.limits import ProfileLimits
@@ -82,7 +82,7 @@ follow.
 
 
 @final
-@dataclass(frozen=True, slots=True, repr=False)
+@frozen(repr=False)
 class Profile:
     """A function value over its argument, in pieces of constant second derivative; immutable.
 
@@ -624,7 +624,7 @@ def _ramp_s(task: _Task, begin: float, end: float) -> float:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Trapezoid:
     """A generated profile from rest at 0 to rest at `distance`; immutable.
 

@@ -54,9 +54,9 @@ import time
 import weakref
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.witness import Rival, Witness
@@ -131,7 +131,7 @@ def takeover_block(lost: int) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Record:
     """The record of a holder or a waiter.
 
@@ -156,7 +156,7 @@ class Record:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Takeover:
     """One takeover of a lock.
 

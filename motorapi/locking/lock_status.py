@@ -8,10 +8,10 @@ import fcntl
 import os
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.lock_file import (
@@ -204,7 +204,7 @@ class Occupant:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class LockView:
     """The state of a lock at one moment.
 

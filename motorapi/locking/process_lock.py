@@ -24,11 +24,11 @@ import time
 import weakref
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.lock_file import (
@@ -69,7 +69,7 @@ _DOING: Final[dict[Attempt | None, str]] = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Loss:
     """The loss of a motor.
 

@@ -12,10 +12,10 @@ as in errors. Another process is known only by what it has published.
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, Protocol, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import MotorBusyError
 from motorhil.motorapi.locking.process_lock import LockHandle, Loss
 from motorhil.motorapi.runtime.api import LOOK_PERIOD_S, wait_until
@@ -353,7 +353,7 @@ class LockAction(IntEnum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class OwnershipEvent:
     """One event of an ownership.
 

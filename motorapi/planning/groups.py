@@ -17,10 +17,11 @@ Melchiorri (2008), ch. 3, for one profile over distance 1.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from sys import float_info
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.generation import shortest, stretched
@@ -35,7 +36,7 @@ _LEAST: Final = float_info.min
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Common:
     """The common properties of the motions of a group.
 
@@ -149,7 +150,7 @@ def _too_short(
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Move:
     """One motor's part of a straight line: distance > 0 and limits, as magnitudes [U]."""
 

@@ -12,10 +12,10 @@ the distance, x_i the distance covered and v_i the maximum velocity of motor i:
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.errors import MotorError
 from motorhil.motorapi.execution import Started
 from motorhil.motorapi.generation import Trapezoid, shortest
@@ -32,7 +32,7 @@ _KEPT: Final = 8
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Line:
     """A straight line in joint space, for motors with a distance to cover.
 

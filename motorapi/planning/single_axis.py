@@ -4,10 +4,11 @@ Pure functions. Every violation of a limit is found here, before anything is sen
 exceed its limit by rounding only (1e-9 of it). `motor` is a name for messages.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, isfinite
 from typing import TYPE_CHECKING, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import (
     ControlMode,
     ControlVariable,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Bounds:
     """Maximum magnitudes of one motion in one direction."""
 

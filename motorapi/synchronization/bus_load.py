@@ -11,10 +11,11 @@ faults are not covered either.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import UsageError
 
@@ -33,7 +34,7 @@ _PERIOD_MIN_S: Final = 1e-6
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class PeriodicMessage:
     """Frames with one identifier, of one sender.
 
@@ -96,7 +97,7 @@ def rank_of(can_id: int, *, extended: bool = False) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class CanTraffic:
     """All messages that may be sent on one bus.
 
@@ -198,7 +199,7 @@ def worst_of(messages: Sequence[PeriodicMessage]) -> tuple[PeriodicMessage, ...]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class NodeTraffic:
     """The traffic of a configured node, and that of this program because of it.
 

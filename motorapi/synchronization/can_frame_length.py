@@ -13,8 +13,9 @@ does not exist. Source: Linux include/linux/can/length.h.
 Durations are integer nanoseconds, rounded up.
 """
 
-from dataclasses import dataclass
 from typing import Final, final
+
+from motorhil.frozen import frozen
 
 INTERMISSION_BITS: Final = 3
 _STUFFED: Final = (34, 54)  # SOF to CRC without data
@@ -27,7 +28,7 @@ _FD_CRC_BITS: Final = (27, 32)  # stuff count, CRC-17 or CRC-21, fixed stuff bit
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Bits:
     """The length of a frame with its intermission, in bits at the nominal and the data rate."""
 

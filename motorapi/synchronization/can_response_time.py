@@ -44,6 +44,7 @@ from heapq import heapify, heapreplace
 from itertools import islice
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.synchronization.bus_load import CanTraffic, PeriodicMessage, rank_of
 from motorhil.motorapi.synchronization.can_frame_length import (
     INTERMISSION_BITS,
@@ -94,7 +95,7 @@ class Arrival(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Message:
     """Frames with one identifier, from one sender.
 
@@ -177,7 +178,7 @@ def floor_ns(time_s: float) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class BusLoad:
     """All messages on one bus.
 
@@ -216,7 +217,7 @@ class BusLoad:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ErrorModel:
     """Bound on the number of errors.
 
@@ -239,7 +240,7 @@ NO_ERRORS: Final = ErrorModel(burst=0)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Response:
     """The worst case of a message.
 

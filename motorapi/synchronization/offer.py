@@ -7,9 +7,9 @@ trigger group and are fired by one trigger; the others are fired in turn.
 """
 
 from collections.abc import Hashable
-from dataclasses import dataclass
 from typing import Protocol, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.synchronization.bus_load import CanTraffic, rank_of
 from motorhil.motorapi.synchronization.can_frame_length import longest
 from motorhil.motorapi.synchronization.quality import SyncLevel
@@ -27,7 +27,7 @@ class Trigger(Protocol):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class OneFrame:
     """A frame that is sent once.
 
@@ -62,7 +62,7 @@ class OneFrame:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Firing:
     """The frames and delays of one trigger.
 
@@ -92,7 +92,7 @@ class Firing:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class SyncOffer:
     """The capability of one motor's hardware for a common start with others.
 

@@ -1,10 +1,10 @@
 """Synchronization of several motors: capability before, quality after a start."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
 
@@ -37,7 +37,7 @@ class FaultReaction(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class MotionTimes:
     """Begin and end of a motion, as reported by the hardware.
 
@@ -57,7 +57,7 @@ class MotionTimes:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class PathDeviation:
     """The deviation of one motor from the common path of its group.
 
@@ -78,7 +78,7 @@ class PathDeviation:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class SyncCapability:
     """The synchronization capability of a group, before it moves.
 
@@ -114,7 +114,7 @@ class SyncCapability:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class SyncQuality:
     """The synchronization quality of a group after a start.
 

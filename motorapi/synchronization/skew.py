@@ -15,10 +15,11 @@ If a value is unknown there is no bound, and the reason is reported.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.synchronization.firing_time import longest_s
 from motorhil.motorapi.synchronization.offer import Firing, SyncOffer
 
@@ -27,7 +28,7 @@ _FULL: Final = "higher priority traffic, or frames queued with it, may delay the
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Bound:
     """An upper bound on a time [s]; or None, with the reason."""
 
@@ -36,7 +37,7 @@ class Bound:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Member:
     """One motor of a group.
 

@@ -14,7 +14,8 @@ from typing import Final
 
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, TrapezoidalTrajectory
 from tests.attack.campaign import Attack, Attempt, Done
 from tests.support.motors.drive_rigs import HEAD, drive

@@ -22,7 +22,8 @@ from typing import Final
 from motorhil.harness.recording.writer import Pump, Series, opener
 from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, ControlVariable
 from motorhil.traces.can_frame import classic
 from motorhil.traces.errors import TraceError

@@ -21,7 +21,8 @@ from typing import TypeVar
 
 from motorhil.harness import examples
 from motorhil.harness.oracles.judge import judge
-from motorhil.harness.rig.rig import Rig, describe
+from motorhil.harness.rig.reading import describe
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.swarm.campaign import Campaign, with_profile
 from motorhil.harness.swarm.engine import dask, end_workers, local, worker_pids
 from motorhil.harness.swarm.lanes import LANES, Lane

@@ -21,7 +21,7 @@ from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.conformance.target import Target
 from motorhil.harness.conformance.verdicts.results import Outcome, as_json, as_junit, as_page
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.motorapi import ControlMode, ControlVariable
 from motorhil.traces.digest import digest
 from tests.support.command_line import beside

@@ -15,7 +15,7 @@ from motorhil.harness.conformance.run import run_clause
 from motorhil.harness.conformance.target import Target
 from motorhil.harness.rig.config.rig_file import parse_rig, read_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 from tests.conformance.variants import (
     BENCHES,
     LIMITED_JERK,

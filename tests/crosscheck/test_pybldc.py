@@ -14,7 +14,8 @@ import pytest
 from motorhil.emulators.vesc.drive import build
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from tests.support.can.bench import EXTENDED, CanBench
 from tests.support.checkout import CHECKOUT
 

@@ -8,7 +8,7 @@ from hypothesis import Phase, settings
 
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.harness.sharing_tests.history import SharingViolated
 from motorhil.harness.sharing_tests.state_machine import (
     group_machine,

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from motorhil.harness.rig.config.rig_file import RigDescription, parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, Motor, MotorGroup, TrapezoidalTrajectory
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace

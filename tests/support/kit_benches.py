@@ -7,7 +7,7 @@ import motorhil.harness.conformance
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.rig.config.rig_file import read_rig
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 
 RIGS = Path(motorhil.harness.conformance.__file__).parent / "rigs"
 KINDS = tuple(sorted(path.stem for path in RIGS.glob("*.toml") if "\n[motor." in path.read_text()))

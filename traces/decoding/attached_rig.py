@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from math import tau
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.settings import parse_toml
 from motorhil.traces.decoding.objects import ObjectNames
 from motorhil.traces.mcap.records import Attachment
@@ -26,7 +27,7 @@ _TABLES: Final = ("rig", "bus", "controller", "motor")
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class MotorFacts:
     """The known facts of a motor.
 

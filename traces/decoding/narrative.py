@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.decoding.attached_rig import RecordedNames, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.events import DecodedEvent, Kind
@@ -64,7 +65,7 @@ _LOCK_WORDS: Final = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class BusMessage:
     """A CAN message by another description than CANopen.
 

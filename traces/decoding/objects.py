@@ -6,9 +6,9 @@ Manufacturer-specific objects (2000h to 5FFFh) are only in an EDS.
 
 import configparser
 import struct
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.decoding.events import Value
 
 # Kinds: u and i are integers with their bits, x is unsigned and shown in hex, s is text, o is
@@ -169,7 +169,7 @@ _EDS_KINDS: Final = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ObjectName:
     """The name of an object, and its `kind` ("" if unknown)."""
 

@@ -7,9 +7,9 @@ Source: the sources that the decoders name.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.decoding import dynamixel, mit, moteus, rmd, vesc
 from motorhil.traces.decoding.narrative import BusMessage
 
@@ -22,7 +22,7 @@ _TORQUE: Final = 0.05  # above the code beside 0
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Told:
     """The meaning of a message, to or from one drive.
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final, NamedTuple, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.can_frame import EFF, ERR, RTR
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.dynamixel import unit_of
@@ -93,7 +94,7 @@ class HostStep:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class HostSide:
     """The criterion for frames of the host in one recording.
 

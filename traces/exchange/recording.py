@@ -1,9 +1,10 @@
 """Exchange logs of all CANopen nodes, Modbus units and known drives in a recording."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.decoding.attached_rig import RecordedNames, controllers_in, names_of
 from motorhil.traces.decoding.canopen import CanopenDecoder
 from motorhil.traces.decoding.dynamixel import Packets
@@ -22,7 +23,7 @@ _RUN: Final = "run"
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordedExchanges:
     """Everything that can be replayed.
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.formats.tcp import Piece, Way
 from motorhil.traces.mcap.reader import Trace
 from motorhil.traces.protobuf import Value
@@ -51,7 +52,7 @@ class Adu:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Malformed:
     """Bytes that are not an ADU.
 

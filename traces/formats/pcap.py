@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import MEMORY_MAX, open_content
 from motorhil.traces.formats.frames import log_time
@@ -76,7 +77,7 @@ class Packet(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Interface:
     name: str
     link_type: int

@@ -6,11 +6,11 @@ own recordings are one of the formats.
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from enum import Flag, auto
 from io import TextIOBase, TextIOWrapper
 from typing import BinaryIO, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.can_frame import ERR, RTR
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import (
@@ -146,7 +146,7 @@ _ALL: Final = ~Feature(0)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Format:
     """A format that can be written.
 
@@ -292,7 +292,7 @@ WRITABLE: Final = (
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Source:
     """A file of CAN traffic.
 

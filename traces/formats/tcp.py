@@ -8,10 +8,10 @@ Source: RFC 791, RFC 8200, RFC 9293; the link types of the IANA registry.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.formats.pcap import Packet
 
 _ETHERNET: Final = 1
@@ -32,7 +32,7 @@ _HELD_MAX: Final = 64
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Way:
     """One direction of a connection: addresses as text, and ports."""
 
@@ -51,7 +51,7 @@ class Way:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Piece:
     """Consecutive bytes of a stream.
 

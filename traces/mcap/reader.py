@@ -11,9 +11,9 @@ import os
 import struct
 import zlib
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import MEMORY_MAX, NOT_MCAP, open_content, refuse_pipe, stranger
 from motorhil.traces.mcap import records
@@ -57,7 +57,7 @@ _STRUCTURE: Final = (
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Chunk:
     """Place and header of a chunk, or of uncompressed messages outside any chunk.
 
@@ -76,7 +76,7 @@ class Chunk:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Cut:
     """A premature end of a file: the bytes from `offset` on are not a complete record.
 

@@ -12,12 +12,12 @@ import sys
 import zlib
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
 import zstandard
 
+from motorhil.frozen import frozen
 from motorhil.traces.files import MEMORY_MAX
 from motorhil.traces.schema import Schema
 
@@ -226,7 +226,7 @@ def read_string_map(data: bytes, offset: int) -> dict[str, str]:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Channel:
     """A topic and the encoding of its messages; `schema` is None if there is none."""
 
@@ -238,7 +238,7 @@ class Channel:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Attachment:
     """A file inside the recording."""
 

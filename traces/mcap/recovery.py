@@ -24,6 +24,7 @@ from typing import BinaryIO, Final, NamedTuple, final
 
 import zstandard
 
+from motorhil.frozen import frozen
 from motorhil.traces.errors import TraceError
 from motorhil.traces.files import (
     MEMORY_MAX,
@@ -417,7 +418,7 @@ class Assembly:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Loss:
     """Bytes that are not a complete record.
 

@@ -16,10 +16,11 @@ currents, and others with many values in arbitrary order) are not compared, and 
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import SequenceMatcher
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.decoding.events import CONTROLLER, FOREIGN
 from motorhil.traces.semantics.model import COMMANDS, Item, Key, Meaning, Series
 
@@ -30,7 +31,7 @@ _SURE: Final = 0.99  # of the tolerance: the rest covers the rounding of an inte
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Tolerance:
     """Tolerances of motion.
 
@@ -46,7 +47,7 @@ class Tolerance:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Difference:
     """The first difference of one order or quantity; None: nothing there in that recording.
 
@@ -175,7 +176,7 @@ def _told(item: Item | None) -> str:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ObjectFidelity:
     """One object of one node.
 

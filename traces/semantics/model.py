@@ -8,9 +8,9 @@ Commands to one node keep their order.
 import math
 from array import array
 from collections.abc import Callable, MutableSequence
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.decoding.attached_rig import RecordedNames
 from motorhil.traces.decoding.events import PERIODIC, DecodedEvent, Kind, Value
 from motorhil.traces.decoding.narrative import BusMessage, Describe, Line, Story
@@ -44,7 +44,7 @@ Series = tuple[MutableSequence[int], MutableSequence[float]]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Item:
     """One command or report, in order: time, value for comparison, and words."""
 

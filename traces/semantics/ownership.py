@@ -21,10 +21,11 @@ a bus that other processes can join, it also lasts until the motion that it star
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.traces.mcap.reader import Trace, read_trace
 from motorhil.traces.protobuf import decode
 from motorhil.traces.schema import MOTOR_LOCK, LockAction
@@ -35,7 +36,7 @@ _TENURE: Final = (*_BEGINS, LockAction.RELEASED, LockAction.LOST)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class LockEvent:
     """One message of `/motor/<name>/lock`; fields that the message lacks are empty, or 0.
 
@@ -82,7 +83,7 @@ class Ended(Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Tenure:
     """One owner's time with one motor.
 
@@ -132,7 +133,7 @@ class Tenure:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class OwnershipRecord:
     """The ownership of motors according to a recording.
 

@@ -18,7 +18,10 @@ from motorhil.harness.python_can.bus import EmulatedBus
 from motorhil.harness.python_can.line import EmulatedLine
 from motorhil.harness.rig.bus_load import traffic_of
 from motorhil.harness.rig.config.faults import HOST
-from motorhil.harness.rig.rig import Named, Rig, RigPlugins, read_models
+from motorhil.harness.rig.names import Named
+from motorhil.harness.rig.plugins import RigPlugins
+from motorhil.harness.rig.reading import read_models
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.locking.directory import VARIABLE
 from motorhil.motorapi.locking.process_lock import close_spare_files

@@ -36,7 +36,8 @@ from motorhil.harness.rig.config.faults import HOST
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.units import units_per_plant_rad
-from motorhil.harness.rig.rig import Rig, read_models
+from motorhil.harness.rig.reading import read_models
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.virtual_time.runtime import VirtualRuntime
 from motorhil.motorapi import Motor, MotorError, MotorModel, UsageError
 from motorhil.motorapi.ownership.claim import LockAction

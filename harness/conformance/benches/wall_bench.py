@@ -22,7 +22,9 @@ from motorhil.harness.rig.config.buses import host_and_port
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import Named, RigPlugins, read_models
+from motorhil.harness.rig.names import Named
+from motorhil.harness.rig.plugins import RigPlugins
+from motorhil.harness.rig.reading import read_models
 from motorhil.motorapi import ControlMode, LinkError, Motor, MotorError, MotorModel
 from motorhil.motorapi.runtime.byte_streams import SerialLine, TcpLine
 from motorhil.motorapi.runtime.wall import WallRuntime, close_process_runtime, process_runtime

@@ -5,11 +5,11 @@ U is the unit of the motor's position, rad or m.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from math import cbrt, inf, sqrt
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.bench import Ability, Lost, RigProtocol
 from motorhil.harness.conformance.clause import NotApplicable, Violated, expect
 from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
@@ -353,7 +353,7 @@ def torque_of(motor: Motor, share: float) -> float:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Mode:
     """One kind of motion.
 

@@ -7,13 +7,13 @@ has: a lock tells its holders apart by their files, and not by their processes. 
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.bench import RigProtocol
 from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import rest_for
@@ -41,7 +41,7 @@ _RESOURCE: Final = 0x105
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Owner:
     """A logical motor in the role of an owner."""
 

@@ -5,7 +5,6 @@ client waits in the runtime. All frames are kept with the times when they were c
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import canopen
@@ -21,6 +20,7 @@ from motorhil.emulators.can.frame import (
     pack,
     pack_remote,
 )
+from motorhil.frozen import frozen
 from motorhil.motorapi.runtime.api import Runtime
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _ANSWER_S: Final = 0.1
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Frame:
     """A frame, complete on the bus at `time_ns`; `is_ours` if the client sent it."""
 

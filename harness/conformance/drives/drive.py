@@ -6,11 +6,11 @@ Every check that fails says what was expected and why, what was seen, when, and 
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final, final
 
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.clause import NotApplicable, Violated
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.client import Client, Frame
@@ -36,7 +36,7 @@ _FROM, _TO = 0.85, 0.25
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pace:
     """A motion that the drive can make, from its own values at power-on.
 
@@ -60,7 +60,7 @@ class Pace:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Sample:
     """A value of an object at a time [ns]."""
 

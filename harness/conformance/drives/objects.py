@@ -3,14 +3,15 @@
 This table is the kit's own reading of the standards. It shares nothing with the emulated drives.
 """
 
-from dataclasses import dataclass
 from enum import Enum, IntEnum
 from struct import calcsize
 from typing import Final, final
 
+from motorhil.frozen import frozen
+
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Entry:
     """One object with its sub-index, its type as a `struct` code, and its name."""
 

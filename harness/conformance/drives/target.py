@@ -15,7 +15,7 @@ from motorhil.harness.conformance.job import Job
 from motorhil.harness.rig.config.conformance import NOTHING_DECLARED
 from motorhil.harness.rig.config.rig_file import RigDescription
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.settings import listed, nearest
 
 _DEADLINE_S: Final = 120.0

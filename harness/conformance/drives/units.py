@@ -7,10 +7,10 @@ replace all of these, for drives whose dictionary does not declare its units.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import pi
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.drives.objects import Entry
 
@@ -29,7 +29,7 @@ _SECONDS: Final = {0x00: 1.0, 0x03: 1.0, 0x47: 60.0}
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Units:
     """Ratios of a drive's units.
 

@@ -6,9 +6,9 @@ the kit.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.clause import without_numbers
 from motorhil.harness.conformance.examination import Finding
 
@@ -16,7 +16,7 @@ _NS: Final = 1e9
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Group:
     """Failures of one cause.
 

@@ -31,10 +31,10 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.examination import Finding
 from motorhil.harness.conformance.job import Loaded
@@ -76,7 +76,7 @@ _ASSUMED: Final = frozenset(one.key for one in Capability if one.is_assumed)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Outcome:
     """The results of a run.
 

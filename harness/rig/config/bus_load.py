@@ -6,9 +6,9 @@ a start. A declaration does not send anything.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import Table
 from motorhil.motorapi.synchronization.bus_load import (
     FD_LENGTHS,
@@ -24,7 +24,7 @@ _PERIOD_S: Final = (1e-5, 600.0)
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class MessageTable:
     """Frames with one identifier, of one sender."""
 

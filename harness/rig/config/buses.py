@@ -4,18 +4,19 @@ The keys are declared here; `docs/reference/rig-file.md` lists them.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
 from motorhil.emulators.can.controller_config import (
+    HOST,
     USUAL_TIMING,
     BitTiming,
     CanNode,
     FrameSupport,
     QueueOrder,
 )
-from motorhil.emulators.simulation.can_network import HOST
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.bus_load import MESSAGES, MessageTable, check_messages
 from motorhil.harness.rig.config.toml import Source, Table
 from motorhil.settings import (
@@ -56,7 +57,7 @@ _SECOND_NS: Final = 1_000_000_000
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class CanNodeTable:
     """Settings of a node's CAN controller."""
 
@@ -145,7 +146,7 @@ def _of(keys: tuple[str, ...], *kinds: str) -> Rule:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class BusTable:
     """A CAN bus, a serial line (Modbus RTU, or others), or a gateway to Modbus controllers."""
 
@@ -273,7 +274,7 @@ def _check_address(kind: str, address: str | None) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class BusDescription:
     """A bus.
 
@@ -421,7 +422,7 @@ def address_max(bus: BusDescription) -> int:
     return UNIT_MAX if bus.is_line else NODE_MAX
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class AddressTable:
     """Where a controller is on its bus."""
 

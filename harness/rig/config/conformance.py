@@ -4,11 +4,12 @@ The keys are declared here; `docs/reference/rig-file.md` lists them.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import Enum
 from types import MappingProxyType
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import Table
 from motorhil.settings import (
     Declaration,
@@ -68,7 +69,7 @@ _TIME_MAX_S: Final = 3600.0
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _AsTheDrive:
     """A value of a setting of a drive, which its own table checks."""
 
@@ -100,7 +101,7 @@ def _stimulus(doc: str) -> Any:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ConformanceTable:
     """Facts about the motors under test, for `motorhil conform`."""
 
@@ -188,7 +189,7 @@ class ConformanceTable:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Facts:
     """The facts that a bench declares; U is rad or m.
 

@@ -14,7 +14,6 @@ gives itself take precedence.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, final
 
 from motorhil.emulators.cia402.drive import Cia402Drive
@@ -25,6 +24,7 @@ from motorhil.emulators.firmware.clock import LateWakes, OwnTime
 from motorhil.emulators.plant.dc_motor import MotorPlant
 from motorhil.emulators.plant.presets import PRESETS
 from motorhil.emulators.settings.tables import plant_of
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.rig_file import (
     ControllerDescription,
     MotorDescription,
@@ -170,7 +170,7 @@ def _gear_ratio(plant: Mapping[str, object]) -> float:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class TimingTable:
     """Keys of a motor that the harness reads itself."""
 

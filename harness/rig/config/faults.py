@@ -5,9 +5,9 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Final, final
 
+from motorhil.emulators.can.controller_config import HOST as INTERFACE
 from motorhil.emulators.can.fault_rules import (
     RATE_MAX,
     FaultKind,
@@ -17,7 +17,7 @@ from motorhil.emulators.can.fault_rules import (
 )
 from motorhil.emulators.can.frame import EFF_FLAG, EFF_MASK
 from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultRule
-from motorhil.emulators.simulation.can_network import HOST as INTERFACE
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.buses import MODBUS_TCP, SERIAL, BusDescription
 from motorhil.harness.rig.config.toml import Table
 from motorhil.settings import (
@@ -70,7 +70,7 @@ def _needs(kinds: tuple[str, ...], key: str, example: str) -> Rule:
     return Rule("kind", kinds, required=(key,), remedy=f"write {key} = {example}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class FaultBusTable:
     """Where a fault is, and what happens there."""
 
@@ -81,7 +81,7 @@ class FaultBusTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class FaultTable(FaultBusTable):
     """A fault of a bus or a line, each time that it matches."""
 
@@ -267,7 +267,7 @@ class FaultTable(FaultBusTable):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class FaultDescription:
     """A fault rule, and the bus or line to which it applies.
 

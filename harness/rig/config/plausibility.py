@@ -8,7 +8,6 @@ a value that is in doubt itself are not looked at.
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from math import inf, pi
 from pathlib import Path
 from typing import Any, Final, final
@@ -18,6 +17,7 @@ from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.modbus.drive import ModbusDrive
 from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.frozen import frozen
 from motorhil.harness.plugins import ADAPTATIONS, CONTROLLERS, SETTINGS, installed
 from motorhil.harness.rig.config.buses import BusTable
 from motorhil.harness.rig.config.conformance import ConformanceTable
@@ -42,7 +42,7 @@ _TORQUE: Final = 1.5
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class RigDoubt:
     """A doubt about a value in a rig or model file.
 
@@ -65,7 +65,7 @@ class RigDoubt:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Drive:
     """A plant, the path of its table, and the period of its servo [s] with the path of its key."""
 

@@ -1,14 +1,14 @@
 """`[program.NAME]` tables of a rig: programs that share its time."""
 
-from dataclasses import dataclass
 from typing import final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import Table
 from motorhil.settings import REQUIRED, Items, Text, flag, number, setting
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ProgramTable:
     """A program that `motorhil run RIG` starts, in a process of its own."""
 
@@ -27,7 +27,7 @@ class ProgramTable:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProgramDescription:
     """A program of a rig. Attributes: as the keys of its table."""
 

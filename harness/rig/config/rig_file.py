@@ -21,11 +21,12 @@ settings of a controller or motor are checked by its builder; errors in them sti
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.plugins import is_target
 from motorhil.harness.rig.config.buses import (
     AddressTable,
@@ -81,7 +82,7 @@ TOP_KEYS: Final = (
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class RigTable:
     """The rig as a whole."""
 
@@ -92,7 +93,7 @@ class RigTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class FromElsewhereTable:
     """Keys that the harness adds to the table of a plant."""
 
@@ -110,7 +111,7 @@ class FromElsewhereTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ControllerTable(AddressTable):
     """An emulated controller; further keys are those of its kind."""
 
@@ -135,7 +136,7 @@ class _Model:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class MotorTable(AddressTable):
     """A motor as the application sees it; further keys are those of its adaptation."""
 
@@ -158,7 +159,7 @@ class MotorTable(AddressTable):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class GroupTable:
     """Motors that move together."""
 
@@ -173,7 +174,7 @@ _NEW_REMEDY: Final = "check the path, or write a new rig: motorhil new DIR"
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ControllerDescription:
     """An emulated controller.
 
@@ -196,7 +197,7 @@ class ControllerDescription:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class MotorDescription:
     """A motor as the application sees it.
 
@@ -220,7 +221,7 @@ class MotorDescription:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class GroupDescription:
     """Names of motors that move together."""
 
@@ -229,7 +230,7 @@ class GroupDescription:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class RigDescription:
     """A checked rig file, in which every name refers to something.
 
@@ -267,7 +268,7 @@ def _all_need_one(adaptation: str) -> bool | None:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Known:
     """The plugins that a rig may name.
 

@@ -16,12 +16,12 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, final
 
 from motorhil.emulators.canopen.files.eds import EdsError, EdsText, parse_integer, read_eds
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import RigError
 
 _SECTIONS: Final = ("options", "master", "defaults", "nodes")
@@ -59,7 +59,7 @@ _IO_NODE: Final = ((0x6000, 1), (0x6200, 1), (0x6411, 1))
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Node:
     """One node that becomes a controller."""
 

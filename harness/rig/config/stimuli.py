@@ -1,9 +1,9 @@
 """`[[stimulus]]` tables of a rig: timed physical inputs of controllers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import Table
 from motorhil.settings import REQUIRED, KeyPath, number, text
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class StimulusTable:
     """A physical input of a controller, and when it changes."""
 
@@ -33,7 +33,7 @@ class StimulusTable:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class StimulusDescription:
     """A value of the controller's physical input `name` from `at_ns` on.
 

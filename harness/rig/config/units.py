@@ -8,7 +8,6 @@ A bench that shows a motor's true position needs the opposite: the motor's units
 plant, with the direction that the model states.
 """
 
-from dataclasses import dataclass
 from math import copysign, pi
 from typing import Final, final
 
@@ -17,6 +16,7 @@ from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.modbus.drive import ModbusDrive
 from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.derived import core_of
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits, drive_units
@@ -28,7 +28,7 @@ _TURN_RAD: Final = 2.0 * pi
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Comparison:
     """One quantity, as motor and drive interpret it.
 

@@ -6,9 +6,9 @@ the rig's. `motorhil swarm` draws worlds, and keeps those that fail as fragments
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import SEED_MAX, Table, replaced
 from motorhil.settings import (
     REQUIRED,
@@ -58,7 +58,7 @@ ALLOWED_ERRORS: Final = (
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Value:
     """Any value; the settings that it changes check it."""
 
@@ -73,7 +73,7 @@ class _Value:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class ChangeTable:
     """A changed setting of a controller."""
 
@@ -85,7 +85,7 @@ class ChangeTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class KillTable:
     """A program that is killed, as by `kill -9`."""
 
@@ -94,7 +94,7 @@ class KillTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class WorldTable:
     """A world: changed settings, the order of parties, and the death of programs."""
 
@@ -116,7 +116,7 @@ class WorldTable:
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class SwarmTable:
     """How `motorhil swarm` draws worlds, and how it judges them."""
 
@@ -173,7 +173,7 @@ UNDECLARED: Final = SwarmTable()
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class WorldDescription:
     """How worlds of a rig are drawn, and which one this is.
 

@@ -1,13 +1,13 @@
 """Coverage of a campaign: what its worlds have reached, and what none has."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
 from motorhil.emulators.cia402.state_machine import PdsState
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import UNDECLARED, WEIGHTS, SwarmTable
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.swarm.plan import Plan
 from motorhil.harness.swarm.summary import Summary
 from motorhil.harness.swarm.worlds.drawing import possible
@@ -17,7 +17,7 @@ _STATES: Final = {str(one.value): one.name.lower().replace("_", " ") for one in 
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Coverage:
     """Parts of a rig and a program that a campaign has reached, and those that it has not.
 

@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.recording.conversion import open_recording
 from motorhil.harness.report.collect import collect
 from motorhil.harness.report.motors import Line, Motor, motors_of
@@ -30,7 +30,7 @@ Curves = dict[str, tuple[tuple[float, float], ...]]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Moment:
     """The moment of a failure.
 

@@ -5,9 +5,9 @@ pass run alone as well. If a result depends on the worlds before, all run anew, 
 """
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.swarm.lanes import batch_of, is_checked, lane_of
 from motorhil.harness.swarm.plan import Plan
 from motorhil.harness.swarm.results import Results
@@ -17,7 +17,7 @@ KEEPS: Final = "the program keeps state, so each world has run in a process of i
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Processes:
     """How the worlds of a campaign were divided into processes.
 

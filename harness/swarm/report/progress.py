@@ -6,10 +6,10 @@ not. The files of several machines merge by copying, as those of rows do.
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TextIO, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.lanes import LANES, file_of
 from motorhil.harness.swarm.row import Row
@@ -19,7 +19,7 @@ _STEPS: Final = 60
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Progress:
     """Progress of a campaign.
 

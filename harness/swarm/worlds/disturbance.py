@@ -5,9 +5,9 @@ A world is a tuple of disturbances. `fragment` writes it as TOML that is appende
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import written
 
 Value = str | int | float
@@ -24,7 +24,7 @@ INPUTS: Final[Mapping[str, tuple[str, float]]] = {
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Disturbance:
     """One disturbance.
 

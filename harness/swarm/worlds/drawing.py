@@ -8,12 +8,13 @@ after the disturbances of its parent.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import exp, log
 from random import Random
 from typing import Any, Final, final
 
 from motorhil.emulators.can.fault_rules import FrameError
+from motorhil.frozen import frozen
 from motorhil.harness.rig.config.worlds import WEIGHTS, SwarmTable
 from motorhil.harness.swarm.worlds.disturbance import Disturbance, Value, World, from_table
 from motorhil.harness.swarm.worlds.marks import Traffic, traffic_from
@@ -49,7 +50,7 @@ _Draw = Callable[[Random, Profile, SwarmTable], Disturbance | None]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Parent:
     """A world that has met something new.
 

@@ -7,8 +7,9 @@ from one sender, or all transmissions of a sender on a line.
 """
 
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
+
+from motorhil.frozen import frozen
 
 if TYPE_CHECKING:
     from motorhil.emulators.simulation.world import World
@@ -22,7 +23,7 @@ _DIGITS: Final = 4  # of a time [s]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Traffic:
     """Frames of one stream.
 

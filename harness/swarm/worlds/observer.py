@@ -12,10 +12,10 @@ import re
 import sysconfig
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.harness.rig.script import is_own_file
 from motorhil.harness.swarm.worlds.marks import Marks, Traffic
 
@@ -41,7 +41,7 @@ _REACTING_NS: Final = 2_000_000_000
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Event:
     """An event of a run.
 

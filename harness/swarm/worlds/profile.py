@@ -1,11 +1,12 @@
 """Profile of an undisturbed run: what a world can disturb, and when."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final, final
 
 from motorhil.emulators.cia402.settings import CATALOGUE
 from motorhil.emulators.controller import Controller, ControllerContext
+from motorhil.frozen import frozen
 from motorhil.harness.plugins import CONTROLLERS, named
 from motorhil.harness.rig.config.derived import plant_in
 from motorhil.harness.swarm.worlds.marks import Marks, Traffic, traffic_from
@@ -29,7 +30,7 @@ _VARIED: Final = (
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Subject:
     """A controller that can be disturbed.
 
@@ -55,7 +56,7 @@ class Subject:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Profile:
     """Traffic and controllers of an undisturbed run.
 

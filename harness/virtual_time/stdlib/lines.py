@@ -26,11 +26,18 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, final, runtime_checkable
 
 from motorhil.harness.virtual_time.stdlib.refusals import is_meant, refuse
 from motorhil.harness.virtual_time.stdlib.threads import program_here
-from motorhil.motorapi.api.line_exchanges import ByteLine
 from motorhil.motorapi.errors import LinkError
 
 if TYPE_CHECKING:
     from motorhil.harness.virtual_time.runtime import VirtualRuntime
+    from motorhil.motorapi.api.line_exchanges import ByteLine
+
+    class OpenLine(ByteLine, Protocol):
+        """A port on a line."""
+
+        def close(self) -> None:
+            """Close the port."""
+
 
 _PIECE: Final = 4_096
 _UNREAD_MAX: Final = 65_536
@@ -103,13 +110,6 @@ class Line(Protocol):
         """The stop bits of a character."""
 
 
-class OpenLine(ByteLine, Protocol):
-    """A port on a line."""
-
-    def close(self) -> None:
-        """Close the port."""
-
-
 @runtime_checkable
 class LinedRig(Protocol):
     """A rig as far as its lines are concerned."""
@@ -118,7 +118,7 @@ class LinedRig(Protocol):
     def description(self) -> "_Description":
         """The contents of its file."""
 
-    def open_line(self, name: str) -> OpenLine:
+    def open_line(self, name: str) -> "OpenLine":
         """Return a new port on a line."""
 
 
@@ -149,7 +149,7 @@ class _End:
     def __init__(
         self,
         bus: Line,
-        line: OpenLine,
+        line: "OpenLine",
         inner: socket.socket,
         runtime: "VirtualRuntime",
         silences_ns: dict[str, int],

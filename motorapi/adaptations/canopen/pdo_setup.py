@@ -5,9 +5,9 @@ disturbs no other. Only differences are written, and then in PRE-OPERATIONAL.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.node import CanopenNode
 
@@ -20,7 +20,7 @@ _SLOTS: Final = 4
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class PdoWish:
     """One requested PDO; `number` counts from 1; times as in the object (100 us, ms)."""
 
@@ -43,7 +43,7 @@ class PdoWish:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class PdoFound:
     """One PDO of the drive; `inhibit_100us` and `event_ms` are None if the object is missing."""
 

@@ -1,8 +1,8 @@
 """Settings of the host for any CANopen node."""
 
-from dataclasses import dataclass
 from typing import Any
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.api.registration import Options
 from motorhil.settings import SettingError, number, whole
 
@@ -19,7 +19,7 @@ def timeout_s(default_s: float, doc: str) -> Any:
     return number(default_s, 0, _TIMEOUT_MAX_S, "s", doc, above=True, plausible=(1e-3, 60.0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class NodeOptions(Options):
     """Settings of the host for any CANopen node."""
 

@@ -20,10 +20,10 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.bus_context import context_of
 from motorhil.motorapi.errors import LinkError, MotorBusyError, UsageError
 from motorhil.motorapi.locking.directory import LockDirectory, bus_name
@@ -114,7 +114,7 @@ _PURPOSE: Final = re.compile(r"SYNC every ([0-9.]+) ms")
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class CyclicSync:
     """A SYNC that runs on a bus: its period [ns], its producer, and whether it is one of ours."""
 

@@ -5,9 +5,9 @@ time.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID
 from motorhil.motorapi.adaptations.canopen.errors import NO_SUCH_OBJECT, SdoAborted
 from motorhil.motorapi.adaptations.canopen.pdo_setup import (
@@ -35,7 +35,7 @@ def _known(high: float, unit: str, doc: str, usual: tuple[float, float] | None =
     return number(None, 0, high, unit, doc, plausible=usual)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class HwOptions(NodeOptions):
     """Settings of a hardware object for its drive; the defaults suit most drives."""
 
@@ -71,7 +71,7 @@ class HwOptions(NodeOptions):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class Cia402Table(HwOptions):
     """A motor behind a CiA 402 drive."""
 
@@ -128,7 +128,7 @@ _LATCHED_TARGETS: Final = (_TARGET_POSITION, _TARGET_VELOCITY)
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class Identity:
     """The identity of the drive (1000h, 1018h); None where it reports nothing."""
 
@@ -140,7 +140,7 @@ class Identity:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class DriveFacts:
     """The results of the bring-up of a drive.
 

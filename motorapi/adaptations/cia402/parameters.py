@@ -6,10 +6,11 @@ hardware". So they are written at `start()`, where they differ from the drive's 
 that a logical motor leaves open are restored at its start to the drive's original values.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from math import isfinite
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.errors import SdoAborted
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.canopen.sdo import decode_answer
@@ -34,7 +35,7 @@ _TIME_MAX_S: Final = 65.535  # in ms, 16 bits
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class Cia402Parameters:
     """The tunable parameters of a drive; None leaves the drive's own value.
 

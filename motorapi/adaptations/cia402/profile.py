@@ -13,10 +13,11 @@ guessed. Polarity (607Eh) inverts positions and velocities, but not torque.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import floor, inf, pi
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.commands import ControlMode, ControlVariable
 from motorhil.motorapi.errors import LimitError, UnsupportedError
@@ -32,7 +33,7 @@ _STEP_ROUNDING: Final = 1e-8  # more than the rounding of DriveUnits for a limit
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class DriveLimits:
     """The drive's own limits, in its units; None if it does not report one.
 
@@ -56,7 +57,7 @@ class DriveLimits:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class DriveProfile:
     """One motion in the drive's integers: 607Ah or 60FFh, 6081h, 6083h, 6084h."""
 
@@ -295,7 +296,7 @@ STEEPEST: Final = _UINT32_MAX  # 6087h: no ramp requested
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class TorqueUnit:
     """The units of the drive's torque objects.
 
@@ -344,7 +345,7 @@ class TorqueUnit:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class TorqueProfile:
     """One torque motion in the drive's integers: 6071h, 6087h (None: the drive has none)."""
 

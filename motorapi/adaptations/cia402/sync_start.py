@@ -10,10 +10,11 @@ time on the wire is known.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, CanopenBus
 from motorhil.motorapi.adaptations.canopen.bus_load import (
     FULL,
@@ -412,7 +413,7 @@ class HandOverTrigger:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class ArmedStream:
     """A stream of set-points that is ready to be sent."""
 

@@ -21,11 +21,12 @@ with the same SYNC.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.bus_load import FULL, SYNC, period_on_wire_s
 from motorhil.motorapi.adaptations.host_servo.cycle import CycleReport
 from motorhil.motorapi.adaptations.host_servo.demand import Scales, course_of
@@ -62,7 +63,7 @@ _LIMITED: Final = "torque, current and velocity set-points with a limit of their
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class ServoParameters:
     """The tunable parameters of a servo besides its gains; U is rad, or m of a linear motor.
 

@@ -15,9 +15,9 @@ An amplifier is switched off repeatedly until its node confirms it, as a frame m
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, open_bus, release_bus
 from motorhil.motorapi.adaptations.canopen.node import (
     CanopenNode,
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@frozen
 class IoFacts:
     """The results of the bring-up of a node.
 

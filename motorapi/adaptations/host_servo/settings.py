@@ -1,10 +1,11 @@
 """Settings of the host for an I/O node, and of a servo that runs on the host."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from math import isfinite
 from typing import Any, ClassVar, Final, Self, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.canopen.settings import NodeOptions
 from motorhil.motorapi.commands import as_number
 from motorhil.motorapi.errors import UsageError
@@ -15,7 +16,7 @@ _WINDOW: Final[dict[str, Any]] = {"plausible": (1e-7, 100.0), "plausible_m": (1e
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class PidGains:
     """Gains of one motor's servo, all >= 0.
 
@@ -103,7 +104,7 @@ class PidGains:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class IoOptions(NodeOptions):
     """Settings of the host for an I/O node, shared by all motors on its channels.
 
@@ -138,7 +139,7 @@ def _gain(default: float | None, name: str, unit: str, doc: str, **own: Any) -> 
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class GainsTable:
     """Gains of the servo: each by itself, or tuned for a bandwidth."""
 
@@ -216,7 +217,7 @@ def _positive(default: float | None, unit: str, doc: str, **own: Any) -> Any:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class HostServoTable(IoOptions):
     """A motor whose servo runs on the host, with an amplifier and an encoder on an I/O node."""
 

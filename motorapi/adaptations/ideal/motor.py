@@ -22,9 +22,9 @@ the shaft is held: the motor exerts torque and stands still.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
 from motorhil.motorapi.api.registration import API_VERSION, Shared, adaptation, read_settings
 from motorhil.motorapi.commands import ControlMode, ControlVariable, Setpoint
@@ -199,7 +199,7 @@ _SHARED: Final[Shared[IdealHwMotor]] = Shared("axis")
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class IdealTable:
     """An ideal motor, not on any bus: it executes every command exactly and at once."""
 

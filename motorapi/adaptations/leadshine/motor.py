@@ -9,9 +9,9 @@
 | parameters                               | peak current (0191h), before the start                |
 """
 
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.modbus.polled_builder import BUS_KINDS, PolledTable
 from motorhil.motorapi.api.line_builder import LineBuilder
@@ -24,7 +24,7 @@ _PEAK_MAX_A: Final = 70.0
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class LeadshineParameters:
     """The tunable parameters of a drive; None leaves the drive's own value.
 

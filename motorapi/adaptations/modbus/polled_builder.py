@@ -1,15 +1,15 @@
 """Settings of motors behind polled drives on Modbus lines."""
 
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.settings import REQUIRED, number, text, whole
 
 BUS_KINDS: Final = ("modbus_rtu", "modbus_tcp")
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True, slots=False)
 class PolledTable:
     """A motor behind a drive on a Modbus line."""
 

@@ -9,9 +9,9 @@
 | parameters                               | operating current, in the same request             |
 """
 
-from dataclasses import dataclass
 from typing import Final, final
 
+from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.modbus.polled_builder import BUS_KINDS, PolledTable
 from motorhil.motorapi.adaptations.oriental_az.hardware import OrientalAzHwMotor
 from motorhil.motorapi.api.line_builder import LineBuilder
@@ -22,7 +22,7 @@ from motorhil.motorapi.errors import UsageError
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@frozen(kw_only=True)
 class OrientalAzParameters:
     """The tunable parameters of a drive; None leaves the drive's own value.
 

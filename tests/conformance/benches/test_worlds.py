@@ -9,7 +9,7 @@ from motorhil.harness.conformance.benches.worlds import fragment_of, is_world, w
 from motorhil.harness.conformance.job import Job
 from motorhil.harness.conformance.kit import all_clauses
 from motorhil.harness.conformance.target import Target
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from tests.conformance.test_correct_variants import accusations
 from tests.support.kit_benches import KINDS, RIGS
 

@@ -8,7 +8,7 @@ from motorhil import Rig
 from motorhil.harness.cli.main import PASSED, main
 from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import never_came, unanswered
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from motorhil.traces.digest import digest
 from tests.support.recordings.altered import traffic

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlVariable
 
 POSITION, VELOCITY = ControlVariable.POSITION, ControlVariable.VELOCITY

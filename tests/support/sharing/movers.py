@@ -9,7 +9,8 @@ from pathlib import Path
 from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.sharing_tests.relative_moves import Mover, mover_of
 from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 from motorhil.motorapi.trajectory import ComplexTrajectory

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.swarm import trial
 from motorhil.harness.swarm.campaign import with_profile
 from motorhil.harness.swarm.child import call_forked

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motorhil.harness.rig.rig import describe
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.swarm.lanes import Lane
 from motorhil.harness.swarm.trial import tried_in
 from motorhil.harness.swarm.worlds.disturbance import Disturbance

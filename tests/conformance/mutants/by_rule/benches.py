@@ -94,7 +94,7 @@ def opener(name: str) -> Any:
     from motorhil.harness.conformance.job import Job
     from motorhil.harness.conformance.target import Target
     from motorhil.harness.rig.config.rig_file import read_rig
-    from motorhil.harness.rig.rig import installed_plugins
+    from motorhil.harness.rig.reading import installed_plugins
     from tests.conformance import variants
     from tests.conformance.drives import rigs
     from tests.support import kit_benches
@@ -120,7 +120,7 @@ def _outsider(name: str) -> Any:
     import motorhil.harness.examples.new_drive as new_drive
     from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
     from motorhil.harness.rig.config.rig_file import read_rig
-    from motorhil.harness.rig.rig import installed_plugins
+    from motorhil.harness.rig.reading import installed_plugins
     from tests.support.outsider_source import OUTSIDER
 
     rig = Path(new_drive.__file__).with_name("rig.toml")

@@ -12,7 +12,9 @@ import can
 
 from motorhil.harness.python_can.hardware_names import bus_settings
 from motorhil.harness.rig.bus_load import traffic_of
-from motorhil.harness.rig.rig import Named, RigPlugins, read_models
+from motorhil.harness.rig.names import Named
+from motorhil.harness.rig.plugins import RigPlugins
+from motorhil.harness.rig.reading import read_models
 from motorhil.harness.virtual_time.stdlib import threads
 from motorhil.harness.virtual_time.stdlib.install import in_virtual_time
 from motorhil.motorapi.bus_context import BusContext

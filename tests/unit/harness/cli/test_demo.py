@@ -12,7 +12,8 @@ from motorhil.harness.examples.rover_kinematics import Pose, look_at
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.traces.mcap.reader import read_trace
 
 

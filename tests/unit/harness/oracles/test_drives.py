@@ -16,7 +16,8 @@ from motorhil.harness.oracles.judge import Pass, judge
 from motorhil.harness.oracles.seen import Incidents, Seen
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, DeviceFault, MotorError
 from motorhil.traces.decoding.attached_rig import facts_of, names_of, place_of
 from motorhil.traces.exchange.drive_kinds import readers_of

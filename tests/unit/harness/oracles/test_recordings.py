@@ -9,7 +9,8 @@ from motorhil.harness.oracles.facts import Facts, read_limits, subjects_in
 from motorhil.harness.oracles.judge import Pass, is_sound, judge
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, MotorError
 from motorhil.traces.decoding.attached_rig import names_of
 from motorhil.traces.formats.frames import Findings

@@ -12,7 +12,7 @@ from motorhil.emulators.simulation.world import World
 from motorhil.harness.recording.ownership import PERIOD_NS, LockLooks, LockWriter
 from motorhil.harness.rig.config.rig_file import read_rig
 from motorhil.harness.rig.config.scaffold import EXAMPLES
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.motorapi.locking.directory import VARIABLE, socketcan_name
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.runtime.wall import WallRuntime

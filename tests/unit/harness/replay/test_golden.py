@@ -10,7 +10,8 @@ from motorhil.harness.replay.rig import with_recorded
 from motorhil.harness.replay.verdict import never_came, summary, unanswered
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.traces.digest import digest
 from motorhil.traces.schema import decode_can_frame
 from motorhil.traces.semantics.diff import Tolerance

@@ -164,7 +164,7 @@ def test_as_host_uses_recorded_eds_files(with_eds, say):
 def test_missing_attached_file_is_reported(folder):
     from motorhil.harness.replay.rig import own_rig
     from motorhil.harness.rig.config.toml import RigError
-    from motorhil.harness.rig.rig import installed_plugins
+    from motorhil.harness.rig.reading import installed_plugins
 
     with read_trace("bench.mcap") as trace:
         rig = next(one for one in trace.attachments if one.name.endswith(".toml"))

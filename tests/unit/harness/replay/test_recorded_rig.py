@@ -16,7 +16,7 @@ from motorhil.harness.replay.device_node import (
 )
 from motorhil.harness.replay.rig import own_rig, rig_in, with_recorded
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.traces.exchange.recording import exchanges_of
 from motorhil.traces.exchange.steps import START
 from motorhil.traces.mcap.reader import read_trace

@@ -10,7 +10,8 @@ import pytest
 from motorhil.emulators.canopen.files.parameter_storage import StoredParameters
 from motorhil.harness.replay.rig import own_rig
 from motorhil.harness.rig.config.toml import RigError
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.traces.mcap.reader import read_trace
 
 RIG = """\

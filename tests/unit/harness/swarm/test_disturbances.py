@@ -10,7 +10,8 @@ from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.config.worlds import UNDECLARED, WEIGHTS
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.harness.swarm.worlds.disturbance import Disturbance, fragment, from_table
 from motorhil.harness.swarm.worlds.drawing import Parent, drawn, mutated
 from motorhil.harness.swarm.worlds.profile import Profile, Traffic, subjects_of

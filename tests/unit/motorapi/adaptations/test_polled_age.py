@@ -8,7 +8,8 @@ from motorhil.emulators.media.serial_faults import SerialFaultKind, SerialFaultR
 from motorhil.harness import conformance
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, ControlVariable
 
 RIGS = Path(conformance.__file__).parent / "rigs"

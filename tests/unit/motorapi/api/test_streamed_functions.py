@@ -5,7 +5,7 @@ import pytest
 from motorhil import Rig
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,

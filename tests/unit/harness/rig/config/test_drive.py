@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.schema import rig_schema
 from motorhil.harness.rig.config.toml import RigError, Source, one_line
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 
 SCHEMA = rig_schema()
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)

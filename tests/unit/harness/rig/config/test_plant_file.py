@@ -3,8 +3,9 @@
 import pytest
 
 from motorhil.harness.rig.config.toml import RigError
+from motorhil.harness.rig.reading import describe
 from motorhil.harness.rig.recording import named_files
-from motorhil.harness.rig.rig import Rig, describe
+from motorhil.harness.rig.rig import Rig
 from motorhil.settings import parse_toml
 
 RIG = """

@@ -13,7 +13,8 @@ from motorhil.harness.rig.config.faults import FaultTable
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.stimuli import StimulusTable
 from motorhil.harness.rig.config.toml import Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi.model import MotorModel
 from motorhil.settings import Items, Number, TableOf, TablesByKey, declaration
 

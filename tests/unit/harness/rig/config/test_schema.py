@@ -18,7 +18,7 @@ from motorhil.emulators.settings.tables import OscillatorTable
 from motorhil.harness.plugins import ADAPTATIONS, installed
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.schema import rig_schema
-from motorhil.harness.rig.rig import installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
 from motorhil.motorapi.model import MotorModel
 from motorhil.settings import declaration
 from tests.support.motors.software_rigs import two

@@ -6,7 +6,8 @@ import pytest
 
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 
 # wheel_60w: 2000 increments a turn of the motor, gear 66: 21008.45 increments per rad.
 CIA402 = """\

@@ -6,7 +6,8 @@ import pytest
 from motorhil.harness.rig.config.scaffold import EXAMPLES
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.config.worlds import WEIGHTS
-from motorhil.harness.rig.rig import Rig, describe
+from motorhil.harness.rig.reading import describe
+from motorhil.harness.rig.rig import Rig
 from motorhil.traces.mcap.reader import read_trace
 from tests.support.plugin_rigs import GOOD, WHEEL
 

@@ -14,7 +14,8 @@ from motorhil.emulators.can.fault_rules import FaultKind, FaultRule
 from motorhil.emulators.can.frame import EFF_FLAG
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import RigError, Source
-from motorhil.harness.rig.rig import Rig, installed_plugins
+from motorhil.harness.rig.reading import installed_plugins
+from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, ControlVariable, MotorState
 from motorhil.motorapi.adaptations.vesc.motor import Mode, VescMotor
 from motorhil.motorapi.errors import (
