@@ -119,9 +119,12 @@ class Timeline:
             self._commanded = False
             budget = self._still if self._still > self._budget else self._budget
             self._run_ahead(min(self.tick + budget, limit_tick))
+        ahead_tick = self._ahead_tick
         if self._ahead_resting:  # without a change of flags on the way
             return RESTS
-        return self._ahead_tick if self._ahead_tick > self.tick else self.tick + 1
+        if ahead_tick == limit_tick and self._ahead[servo.I_FLAGS] == self.state[servo.I_FLAGS]:
+            return limit_tick + 1
+        return ahead_tick if ahead_tick > self.tick else self.tick + 1
 
     # --- commands ---------------------------------------------------------------------------------
 

@@ -315,3 +315,19 @@ def test_looks_of_two_readers_cost_one_call_each(runs):
     look_at([0, 1])
     assert sum(runs) < 4000 * 1.2
     assert len(runs) < 2 * 200 * 1.5
+
+
+def test_limit_within_a_tick_is_the_next_wake():
+    """Nothing can change between the last tick before the limit and the limit."""
+    axis, _ = make("wheel")
+    axis.power(True)
+    axis.move_to(10**9, 50_000.0, 1e6, 1e6)
+    wakes = []
+    for limit_ns in range(20_300_000, 2000 * MS, 20 * MS):
+        wakes.append(axis.next_event_ns(limit_ns))
+        while wakes[-1] < limit_ns:
+            axis.at(wakes[-1])
+            wakes.append(axis.next_event_ns(limit_ns))
+        axis.at(limit_ns)
+    learnt = wakes[20:]
+    assert learnt == [*range(learnt[0], 2000 * MS, 20 * MS)]
