@@ -6,8 +6,9 @@ computation, its portions and its repetitions are therefore free. This module us
 - `reach(tick)` computes up to a tick in one go. Without a reader nothing is computed.
 - `next_tick(limit)` must know the next change of flags, so it runs *ahead*. The computed states are
   kept as the answer for later. A command discards them.
-- For a reading in between, the few ticks up to it are run again from the last state kept. Readings
-  tend to be periodic, so states are kept where the next ones are expected.
+- For a reading in between, the few ticks up to it are run again from the last state kept. A reader
+  tends to be periodic, and there are seldom more than two. So the gaps between readings tend to
+  alternate, and states are kept where the next readings are then expected.
 
 The distance to run ahead is learned from how often commands made it useless. Readings must not
 influence it: a drive's wake-up time decides its turn among simultaneous events. The wake-up time
@@ -27,6 +28,7 @@ _STILL_MIN: Final = 32
 _STILL_MAX: Final = 10_000
 
 RESTS: Final = -1
+_NEVER: Final = 1 << 62
 NO_CONDITIONS: Final[Conditions] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -78,7 +80,8 @@ class Timeline:
         self._wait = 0  # ticks left to wait
         self._commanded = False  # since the last `next_tick`
         self._look_tick = 0  # the last reading at a tick before `_ahead_tick`
-        self._look_period = 0  # between the last two readings
+        self._look_gap = 0  # ticks between the last two readings
+        self._gap_before = 0  # ticks between the two before; two readers make gaps alternate
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -87,7 +90,8 @@ class Timeline:
         if tick < self._ahead_tick:
             if tick == self.tick:
                 return
-            self._look_period = tick - self._look_tick
+            self._gap_before = self._look_gap
+            self._look_gap = tick - self._look_tick
             self._look_tick = tick
             self.state = self._look_between(tick)
         else:
@@ -115,9 +119,12 @@ class Timeline:
             self._commanded = False
             budget = self._still if self._still > self._budget else self._budget
             self._run_ahead(min(self.tick + budget, limit_tick))
+        ahead_tick = self._ahead_tick
         if self._ahead_resting:  # without a change of flags on the way
             return RESTS
-        return self._ahead_tick if self._ahead_tick > self.tick else self.tick + 1
+        if ahead_tick == limit_tick and self._ahead[servo.I_FLAGS] == self.state[servo.I_FLAGS]:
+            return limit_tick + 1
+        return ahead_tick if ahead_tick > self.tick else self.tick + 1
 
     # --- commands ---------------------------------------------------------------------------------
 
@@ -193,19 +200,26 @@ class Timeline:
 
     def _run_ahead(self, stop: int) -> None:
         """Run on from `_ahead_tick` until `stop`, a change of flags, or rest."""
-        period = self._look_period
         flags = self._ahead[servo.I_FLAGS]
         while self._ahead_tick < stop and not self._ahead_resting:
-            ticks = stop - self._ahead_tick
-            if period > 0:
-                ticks = min(ticks, period - (self._ahead_tick - self._look_tick) % period)
+            ticks = min(stop, self._next_look()) - self._ahead_tick
             self._ahead, made, self._ahead_resting = self._run(
                 self._ahead_tick, self._ahead, ticks, True
             )
             self._ahead_tick += made
             if self._ahead[servo.I_FLAGS] != flags:
                 break
-            self._between.append((self._ahead_tick, self._ahead))
+            if self._ahead_tick < stop:
+                self._between.append((self._ahead_tick, self._ahead))
+
+    def _next_look(self) -> int:
+        """Return the tick after `_ahead_tick` at which the next reading is expected."""
+        gap = self._gap_before
+        period = gap + self._look_gap
+        if period == 0:
+            return _NEVER
+        since = (self._ahead_tick - self._look_tick) % period
+        return self._ahead_tick - since + (gap if since < gap else period)
 
     def _drop_ahead(self) -> None:
         """Discard the states run ahead, because of a command."""

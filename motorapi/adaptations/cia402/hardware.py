@@ -79,6 +79,7 @@ class Cia402HwMotor:
         options: see HwOptions.
 
     Attributes:
+        facts: the result of `connect`, or None before it.
         stream: the last stream of set-points, made by `stream_positions`, or None.
         fence: the fence for frames that command the drive, or None if no other process can take the
             drive over.
@@ -110,7 +111,7 @@ class Cia402HwMotor:
         self.label: Final = f"{bus_label(bus)} node {node_id}"
         if self.options.heartbeat_ms and node_id == self.options.host_node_id:
             raise self._is_the_hosts()
-        self._facts: DriveFacts | None = None
+        self.facts: DriveFacts | None = None
         lock, sdo_lock = node_locks(bus, runtime, node_id, self.label)
         self.physical: Final[PhysicalMotor] = register_physical_motor(
             bus, node_id, self.label, self, lock
@@ -147,7 +148,7 @@ class Cia402HwMotor:
         )
 
     def __repr__(self) -> str:
-        what = "not connected" if self._facts is None else self.node.describe_status()
+        what = "not connected" if self.facts is None else self.node.describe_status()
         return f"<Cia402HwMotor {self.label}: {'closed' if self.is_closed else what}>"
 
     def close(self) -> None:
@@ -163,7 +164,7 @@ class Cia402HwMotor:
         release_physical_motor(self.link.bus, self.node_id, self)
         if self.stream is not None:
             self.stream.cancel()
-        self._facts = None
+        self.facts = None
         self._close()
 
     @property
@@ -186,7 +187,7 @@ class Cia402HwMotor:
 
     def connect(self) -> DriveFacts:
         """Bring the drive up and configure it, unless that was done already; see `bring_up`."""
-        facts = self._facts
+        facts = self.facts
         if facts is not None and self._close.alive and self._is_known:
             return facts
         if not self._close.alive:
@@ -196,16 +197,16 @@ class Cia402HwMotor:
             self.physical.passage(self.label, of_holder=True),
             self._setting_up.turn(4 * options.connect_timeout_s, f"{self.label}: its set-up"),
         ):
-            if self._facts is not None and self._is_known:
-                return self._facts
+            if self.facts is not None and self._is_known:
+                return self.facts
             self.node.keep_host_heartbeat()
             if self.node.has_booted:
                 self.node.count_anew()
             self.objects.doubt()
             self.control.forget()
-            self._facts = self.control.facts = None  # after a failure, the next call tries again
+            self.facts = self.control.facts = None  # after a failure, the next call tries again
             facts = self._shared.set_up(self.node.sdo, options.connect_timeout_s, self._bring_up)
-            self._facts = self.control.facts = facts
+            self.facts = self.control.facts = facts
             return facts
 
     def _bring_up(self) -> DriveFacts:
@@ -215,11 +216,6 @@ class Cia402HwMotor:
     @property
     def _is_known(self) -> bool:
         return self.node.is_up and not self._is_doubted and self._shared.is_as_we_left_it
-
-    @property
-    def facts(self) -> DriveFacts | None:
-        """The result of `connect`, or None before it."""
-        return self._facts
 
     # --- objects -------------------------------------------------------------------------
 
@@ -399,10 +395,10 @@ class Cia402HwMotor:
         self.follow(None)
         self.node.sdo.finish()
         can_ids = [0x600 + self.node_id]
-        if self._facts is not None:
-            if self._facts.control_id is not None:
-                can_ids.append(self._facts.control_id)
-            can_ids += self._facts.latched_ids.values()
+        if self.facts is not None:
+            if self.facts.control_id is not None:
+                can_ids.append(self.facts.control_id)
+            can_ids += self.facts.latched_ids.values()
         self.link.confirmed([one for can_id in can_ids for one in self.link.pending(can_id)])
 
     def doubt(self) -> None:

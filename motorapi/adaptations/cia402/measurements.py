@@ -231,7 +231,8 @@ class DriveReader:
             if raw is not None and units.velocity_unit is not None and self._is_directed:
                 velocity = units.velocity(raw)
         state = MotorState.OFFLINE if node.is_old else self.state()
-        return Measurement(node.status_ns, state, position, velocity)
+        # The constructor of a named tuple is an interpreted function around this one.
+        return tuple.__new__(Measurement, (node.status_ns, state, position, velocity, None, None))
 
 
 def _read_limits(hardware: Cia402HwMotor) -> DriveLimits:

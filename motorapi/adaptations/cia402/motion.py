@@ -43,6 +43,7 @@ from motorhil.motorapi.adaptations.cia402.parameters import (
 )
 from motorhil.motorapi.adaptations.cia402.profile import (
     STEEPEST,
+    DriveLimits,
     DriveProfile,
     as_motion,
     as_torque_motion,
@@ -62,6 +63,7 @@ from motorhil.motorapi.adaptations.cia402.sync_start import (
     armed_group,
     offer_of,
 )
+from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.commands import ControlVariable
 from motorhil.motorapi.errors import DeadlineExceeded, StateError
 from motorhil.motorapi.motion import Motion
@@ -240,6 +242,8 @@ class DriveMotions:
         self._armed: CspStream | None = None  # the stream that begins, or began last
         self._point: ArmedSetPoint | None = None  # of the last group start
         self._together = False
+        # A start asks for the motions that its prediction has asked for: fastest, and in time.
+        self._quantised: list[tuple[tuple[Motion, DriveUnits, DriveLimits], Motion]] = []
         self._group = armed_group(hardware.node.bus)
 
     @property
@@ -259,8 +263,14 @@ class DriveMotions:
         if motion.variable is ControlVariable.TORQUE:
             unit = self._reader.torque_unit()
             return as_torque_motion(motion, torque_profile_of(motion, unit), unit)
-        units, limits = self._reader.known_of(motion.variable)
-        return as_motion(motion, profile_of(motion, self._model, units, limits), units)
+        known = (motion, *self._reader.known_of(motion.variable))
+        for before, made in self._quantised:
+            if before == known:
+                return made
+        _, units, limits = known
+        made = as_motion(motion, profile_of(motion, self._model, units, limits), units)
+        self._quantised = [(known, made), *self._quantised[:1]]
+        return made
 
     # --- arming ----------------------------------------------------------------------------
 

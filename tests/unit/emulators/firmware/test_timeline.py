@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
@@ -262,19 +263,24 @@ def test_states_kept_before_a_command_are_discarded():
     assert commands > 3
 
 
-def test_commands_every_tick_are_not_computed_twice(monkeypatch):
-    """Cyclic demands make running ahead useless; it stops, except for occasional tries."""
-    axis, _ = make("wheel")
-    made = 0
+@pytest.fixture
+def runs(monkeypatch) -> list[int]:
+    """Return a list to which every call of `servo.run` appends the number of its ticks."""
+    made = []
     run = servo.run
 
     def counted(*arguments):
-        nonlocal made
         result = run(*arguments)
-        made += result[1]
+        made.append(result[1])
         return result
 
     monkeypatch.setattr(servo, "run", counted)
+    return made
+
+
+def test_commands_every_tick_are_not_computed_twice(runs):
+    """Cyclic demands make running ahead useless; it stops, except for occasional tries."""
+    axis, _ = make("wheel")
     axis.power(True)
     for k in range(2000):
         axis.at(k * MS)
@@ -282,28 +288,46 @@ def test_commands_every_tick_are_not_computed_twice(monkeypatch):
         axis.at(k * MS + 200_000)
         axis.follow(10 * k, MS)
         axis.next_event_ns()
-    assert made < 2000 * 1.05
+    assert sum(runs) < 2000 * 1.05
 
 
-def test_periodic_looks_cost_no_second_computation(monkeypatch):
+def look_at(places) -> None:
+    """Move for a long time, and read at these places of every 20 ms."""
     axis, _ = make("wheel")
-    made = 0
-    run = servo.run
-
-    def counted(*arguments):
-        nonlocal made
-        result = run(*arguments)
-        made += result[1]
-        return result
-
-    monkeypatch.setattr(servo, "run", counted)
     axis.power(True)
     axis.move_to(10**9, 50_000.0, 1e6, 1e6)
     wake = axis.next_event_ns()
     for k in range(20, 4000, 20):
-        while wake is not None and wake < k * MS:
-            axis.at(wake)
+        for place in places:
+            while wake is not None and wake < (k + place) * MS:
+                axis.at(wake)
+                wake = axis.next_event_ns()
+            axis.at((k + place) * MS)
             wake = axis.next_event_ns()
-        axis.at(k * MS)
-        wake = axis.next_event_ns()
-    assert made < 4000 * 1.2
+
+
+def test_periodic_looks_cost_no_second_computation(runs):
+    look_at([0])
+    assert sum(runs) < 4000 * 1.2
+
+
+def test_looks_of_two_readers_cost_one_call_each(runs):
+    look_at([0, 1])
+    assert sum(runs) < 4000 * 1.2
+    assert len(runs) < 2 * 200 * 1.5
+
+
+def test_limit_within_a_tick_is_the_next_wake():
+    """Nothing can change between the last tick before the limit and the limit."""
+    axis, _ = make("wheel")
+    axis.power(True)
+    axis.move_to(10**9, 50_000.0, 1e6, 1e6)
+    wakes = []
+    for limit_ns in range(20_300_000, 2000 * MS, 20 * MS):
+        wakes.append(axis.next_event_ns(limit_ns))
+        while wakes[-1] < limit_ns:
+            axis.at(wakes[-1])
+            wakes.append(axis.next_event_ns(limit_ns))
+        axis.at(limit_ns)
+    learnt = wakes[20:]
+    assert learnt == [*range(learnt[0], 2000 * MS, 20 * MS)]

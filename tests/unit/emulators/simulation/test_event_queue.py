@@ -32,6 +32,17 @@ def test_resetting_same_time_keeps_turn():
     assert log == ["first", "second", "second", "first"]
 
 
+def test_alarm_behind_an_earlier_one_keeps_turn():
+    queue = EventQueue()
+    log = []
+    alarms = [queue.alarm(lambda now, name=name: log.append(name)) for name in "abc"]
+    alarms[0].set(10)
+    alarms[1].set(10)
+    alarms[2].set(5)  # before the one that was next
+    queue.run_until(10)
+    assert log == ["c", "a", "b"]
+
+
 def test_time_in_past_means_now():
     queue = EventQueue()
     times = []

@@ -90,3 +90,17 @@ def test_demands_deviate_from_the_line_as_predicted(ways):
         for most, found in zip(told, worst, strict=True):
             assert 0.9 * most - 1.5 * INCREMENT_RAD <= found <= most + 1.5 * INCREMENT_RAD
         event("further than an increment" if max(told) > INCREMENT_RAD else "nearer")
+
+
+def test_rounding_again_of_an_equal_motion_computes_nothing():
+    with opened(1) as (_, group):
+        group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+        (motor,) = group
+        near, far = (TrapezoidalTrajectory(way, initial=0.0) for way in (1.0, 2.0))
+        made = []
+        for trajectory in (near, far, near, far):
+            motor.set_trajectory(trajectory)
+            made.append(motor._quantise(plan([motor.logical])[0]))
+        assert made[0] is made[2]
+        assert made[1] is made[3]
+        assert made[0] != made[1]
