@@ -53,7 +53,7 @@ _LOADS: Final = 60
 _RECOVERY_BITS: Final = 31
 _INTERMISSION_BITS: Final = 3
 _LATE_PERIOD_NS: Final = 140_000  # of the longest frame, which takes 135 us
-_LATE_NS: Final = 400_000_000
+_LATE_NS: Final = 330_000_000
 _HEAD: Final = {(False, False): 34, (False, True): 54, (True, False): 22, (True, True): 41}
 """Bits subject to stuffing without data, by (FD, extended): up to the CRC, of FD up to the DLC."""
 _TAIL: Final = 13  # delimiters, ACK, end of frame, intermission

@@ -8,7 +8,7 @@ from math import copysign, fsum, inf, sqrt
 from statistics import stdev
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.demands import (
     Demand,
     jerk_of,
@@ -668,6 +668,22 @@ def led_velocity_is_that_of_the_function(bench: RigProtocol) -> None:
         finish(bench, motor)
 
 
+def _expect_rate_is_heeded(bench: RigProtocol, motor: Motor) -> None:
+    """Check that a function is refused which an argument at its maximum rate makes too fast."""
+    from motorhil.motorapi.functions import Polynomial
+
+    fast = 2.0 * motor.model.velocity_max * _SWEEP_S
+    step = Polynomial((0.0, 0.0, 3.0 * fast, -2.0 * fast)).restricted(0.0, 1.0)
+    try:
+        motor.set_trajectory(ComplexTrajectory(step, relative=True), _Sweep(bench))
+        motor.start()
+    except UnsupportedError as error:
+        raise NotApplicable(f"no argument can lead this motor: {error}") from None
+    except LimitError:
+        return
+    raise Violated(f"up to {1.5 * fast / _SWEEP_S:g} {motor.model.unit}/s by its argument: started")
+
+
 @clause(
     "LEAD-04",
     Level.L1,
@@ -682,6 +698,7 @@ def step_of_argument_is_refused_truly(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.5 * long_move(bench)
     motor.enable()
     motor.set_control_mode(ControlMode.TRAJECTORY)
+    _expect_rate_is_heeded(bench, motor)
     slow = _LEADS * motor.model.velocity_max
     reach = 2.0 * way / slow
     ramp = Polynomial((0.0, slow)).restricted(-reach, reach)
