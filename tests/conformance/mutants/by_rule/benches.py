@@ -15,7 +15,7 @@ VARIANTS: Final = (
     *("linear axis", "inverted polarity", "inverted velocities", "brakes gently", "only pp"),
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
-    *("position limits in the drive", "no TPDOs", "SI units"),
+    *("position limits in the drive", "no TPDOs", "SI units", "no heartbeat consumer"),
 )
 VARIED: Final = {
     "cia402": (
