@@ -37,7 +37,10 @@ def _own_eds() -> str:
 
 
 def _si_units() -> list[Change]:
-    """Return the changes for drives in 0.01 degree and 0.01 degree/s, and a model without them."""
+    """Return the changes for drives in 0.01 degree and 0.01 degree/s, and a model without them.
+
+    Their rated torque is not that of their rated current, either.
+    """
     objects = ((0x60A8, "position", 0xFE41_0000), (0x60A9, "velocity", 0xFE41_0300))  # CiA 303-2
     path = Path(_FOLDER.name, "si_units.eds")
     path.write_text(
@@ -50,7 +53,7 @@ def _si_units() -> list[Change]:
     )
     ramps = '"6081h" = 11459, "6083h" = 22918, "6084h" = 22918, "6085h" = 40000'
     return [
-        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps} }}'),
+        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps}, "6076h" = 300 }}'),
         ("gear_ratio = 66.0\nencoder_increments_rev = 2000\n", ""),
         (f"velocity_unit_rad_s = {_UNIT}\n", ""),
         (f"unit_rad_s2 = {_UNIT}\n", f"unit_rad_s2 = {radians(0.01)!r}\n"),

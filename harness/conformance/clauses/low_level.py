@@ -33,6 +33,7 @@ from motorhil.motorapi import (
     Motor,
     MotorBusyError,
     MotorError,
+    MotorGroup,
     MotorState,
     PeerError,
     StateError,
@@ -68,7 +69,8 @@ def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
             expect(hardware is not None, "low-level access: the hardware object is None")
             with motor.low_level() as again:
                 expect(again is hardware, "a block within low-level access has another object")
-            for operation in (motor.start, motor.stop, motor.disable, motor.is_referenced):
+            together = MotorGroup(motor).sync_capability
+            for operation in (motor.start, motor.stop, motor.is_referenced, together):
                 what = f"{operation.__name__}() was accepted during low-level access"
                 expect_raises(MotorBusyError, operation, what)
             rest_for(bench, 0.3)
@@ -165,6 +167,8 @@ def _simple(hardware: Any, name: str) -> Callable[[], object]:
 def hardware_object_does_what_it_is_told(bench: RigProtocol) -> None:
     """In low-level access, the hardware object enables, stops and disables the motor."""
     motor, way = bench.motor, 0.2 * long_move(bench)
+    with motor.low_level() as hardware, suppress(NotApplicable):
+        _simple(hardware, "report")()  # statistics, which begin with the first motion
     move(bench, motor, way)
     for _ in range(2):
         motor.disable()

@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     move_exactly,
     rest_for,
     shortest_s,
+    until_rest_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
@@ -128,6 +129,10 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
         text = "another value than before" if value is None else f"{value:.0f}"
         expect(is_right, f"a start with parameters: {index:04X}h is {seen}; expected {text}")
     _expect_whole_ramp(bench, motor)
+    with motor.low_level():
+        found = [hardware.read(index) for index in _WINDOWS]
+    expect(found == at_first, f"low-level access finds {found} in the drive; before: {at_first}")
+    _read_in_motion(bench, motor, hardware, way)
     motor.disable()
     found = [hardware.read(index) for index in _WINDOWS]
     expect(found == at_first, f"disable() leaves {found} in the drive; before: {at_first}")
@@ -268,6 +273,26 @@ def hardware_object_tells_its_drive(bench: RigProtocol) -> None:
     move(bench, motor, 0.1 * long_move(bench))
     expect(motor.position() != before, "the motor does not move any more")
     _expect_fault_outlasts_a_short_frame(bench, motor, hardware)
+    if Ability.SILENCE_HOST in bench.abilities:
+        _expect_cause_of_loss(bench, motor, hardware)
+
+
+def _expect_cause_of_loss(bench: RigProtocol, motor: Motor, hardware: Any) -> None:
+    """Expect the error of a motion to tell the EMCY by which its drive has left operational."""
+    motor.enable()
+    follow(motor, TrapezoidalTrajectory(long_move(bench)))
+    rest_for(bench, _LOOK_S)
+    before = len(hardware.emergencies)
+    with bench.silence_host():
+        error = failure_of(partial(finish, bench, motor))
+        codes = [one.code for one in hardware.emergencies[before:]]
+    is_of_nmt = bool(codes) and "NMT state" in f"{error}"
+    expect(
+        not is_of_nmt or any(f"{code:04X}h" in f"{error}" for code in codes),
+        f"EMCYs {[f'{code:04X}h' for code in codes]} of a drive without its host: {error}",
+    )
+    rest_for(bench, until_rest_s(bench, motor))
+    motor.reset_fault()
 
 
 def _expect_fault_outlasts_a_short_frame(bench: RigProtocol, motor: Motor, hardware: Any) -> None:

@@ -46,6 +46,7 @@ from motorhil.motorapi import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.outcome import Ending, Outcome
 
 _WATCHED_S = 0.2
 _SHARED = {Ability.SEVERAL_USERS}
@@ -440,10 +441,16 @@ def closed_motor_leaves_others_working(bench: RigProtocol) -> None:
     source="Device.close: releases the device; errors, LinkError: this hardware object is closed",
 )
 def closed_motor_refuses_commands(bench: RigProtocol) -> None:
-    """After close(), commands fail with an error of the interface."""
-    motor = bench.motor
-    move(bench, motor, 0.1 * long_move(bench))
+    """After close(), commands fail with an error of the interface, and no motion is done."""
+    motor, way = bench.motor, long_move(bench)
+    begin_move(bench, motor, way, midway_s(motor, way, 0.5))
+    told: list[Outcome] = []
+    motor.on_done(told.append)
     motor.close()
+    error = failure_of(partial(motor.wait_until_done, 1.0))
+    expect(error is not None, "close() in a motion: the wait returned as if it were done")
+    for one in told:
+        expect(one.ending is not Ending.DONE, f"close() in a motion: {one}")
     for operation in (motor.start, motor.enable, motor.reset_fault, motor.disable):
         what = f"{operation.__name__}() returned after close()"
         expect_raises(MotorError, operation, what)

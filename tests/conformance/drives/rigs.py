@@ -170,6 +170,7 @@ DRIVES: dict[str, str] = {
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
         "switches = { index_pulse = false }"
     ),
+    "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
 }
@@ -203,6 +204,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
     "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
+    "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{
         f"quirk {name}": (killer, *_OF_QUIRKS[:2], "CSP-01", "LSW-01")

@@ -3,6 +3,7 @@
 import logging
 import re
 import warnings
+from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -21,6 +22,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     long_move,
     move,
     move_exactly,
+    prepare,
     quiet_settings,
     rest_for,
     sample_positions,
@@ -53,6 +55,9 @@ _HALF_S: Final = 0.03  # of the window of a mean velocity
 _TURN_RAD: Final = 6.3
 _GENTLE: Final = 0.25  # of the limits
 _GENTLY_S: Final = 10.0
+_TINY: Final = 0.45  # of the resolution
+_BEYOND: Final = 1.3  # position windows
+_MANY: Final = 100
 
 
 @clause(
@@ -285,7 +290,7 @@ def _room(bench: RigProtocol) -> tuple[float, float]:
     source="requirement 1; Motor.wait_until_done: the last command",
 )
 def tiny_move_is_done_at_once(bench: RigProtocol) -> None:
-    """Zero or sub-resolution moves are done at once, and the next move is exact."""
+    """Zero or sub-resolution moves are done at once and add up; the next move is exact."""
     motor = bench.motor
     least = motor.model.resolution or 1e-6 * long_move(bench)
     way = 0.2 * long_move(bench)
@@ -304,6 +309,22 @@ def tiny_move_is_done_at_once(bench: RigProtocol) -> None:
             )
         move(bench, motor, way)
         expect_at(bench, motor, begin + way + 2.0 * tiny, f"after moves of {tiny:g}, by {way:g}")
+    _expect_tiny_moves_add_up(bench, motor, _TINY * least)
+
+
+def _expect_tiny_moves_add_up(bench: RigProtocol, motor: Motor, tiny: float) -> None:
+    """Check that what the hardware cannot move now is not lost: errors must not accumulate."""
+    count = ceil(_BEYOND * bench.facts.window / tiny)
+    if count > _MANY:
+        return
+    begin = motor.position() + 0.01 * long_move(bench)
+    aim(motor, begin)
+    finish(bench, motor)
+    prepare(motor, tiny)
+    for _ in range(count):
+        motor.start()
+        finish(bench, motor)
+    expect_at(bench, motor, begin + count * tiny, f"after {count} moves of {tiny:g}")
 
 
 @clause(

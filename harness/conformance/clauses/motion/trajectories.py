@@ -8,7 +8,7 @@ from math import copysign, fsum, inf, sqrt
 from statistics import stdev
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.demands import (
     Demand,
     jerk_of,
@@ -182,7 +182,8 @@ def complex_trajectory_is_followed(bench: RigProtocol) -> None:
     follow(motor, TrapezoidalTrajectory(0.2 * size))
     finish(bench, motor, shortest_s(motor, size))
     # A hump, 16 s^2 (1 - s)^2, on a smooth step, 3 s^2 - 2 s^3, of 0.3: at rest at both ends.
-    shape = Polynomial((0.0, 0.0, 16.9, -32.6, 16.0)).restricted(0.0, 1.0)
+    # It begins at 0.7: relative, only the differences count.
+    shape = Polynomial((0.7, 0.0, 16.9, -32.6, 16.0)).restricted(0.0, 1.0)
     function = shape.scaled(duration_s) * size
     before = position_of(bench, motor)
     follow(motor, ComplexTrajectory(function, relative=True))
@@ -388,10 +389,25 @@ def velocities_at_ends_are_met_or_refused(bench: RigProtocol) -> None:
     )
     finish(bench, motor, shortest_s(motor, 2.0 * way))
     expect_rest(bench, motor, "after a trajectory that ends at rest")
-    follow(motor, TrapezoidalTrajectory(way))
-    finish(bench, motor, shortest_s(motor, way))
+    _expect_passed(bench, motor, -way, -velocity)
     motor.set_trajectory(TrapezoidalTrajectory(way, initial_derivatives=(velocity,)))
     expect_raises(StateError, motor.start, "a motor at rest began with a velocity")
+
+
+def _expect_passed(bench: RigProtocol, motor: Motor, way: float, velocity: float) -> None:
+    """Check that a trajectory with an initial value passes its final value at this velocity."""
+    here = motor.position()
+    there = (velocity,)
+    follow(motor, TrapezoidalTrajectory(here + way, initial=here, final_derivatives=there))
+    finish(bench, motor, shortest_s(motor, 2.0 * way))
+    passed, unit = motor.position() - here, motor.model.unit
+    late = abs(velocity) * (bench.facts.time_tolerance_s + max(map(abs, bench.facts.latency_s)))
+    expect(
+        abs(passed - way) <= bench.facts.window + late,
+        f"from {here:g} {unit}, by {way:g} {unit}: done was reported after {passed:g} {unit}",
+    )
+    motor.stop()
+    finish(bench, motor)
 
 
 @clause(
@@ -461,6 +477,11 @@ def _follow_there_and_back(bench: RigProtocol, led: Motor, leader: Motor, share:
     led.set_trajectory(ComplexTrajectory(gear, relative=True), MotorPosition(leader))
     before = position_of(bench, led)
     led.start()
+    progress = led.progress()
+    expect(
+        progress is None or progress.expected_s is None,
+        f"its leader decides how long a led motion takes: {progress!r}",
+    )
     made = 0.0
     for part in (0.5, -0.25):
         _lead(bench, leader, part * way, share, led)
@@ -647,6 +668,22 @@ def led_velocity_is_that_of_the_function(bench: RigProtocol) -> None:
         finish(bench, motor)
 
 
+def _expect_rate_is_heeded(bench: RigProtocol, motor: Motor) -> None:
+    """Check that a function is refused which an argument at its maximum rate makes too fast."""
+    from motorhil.motorapi.functions import Polynomial
+
+    fast = 2.0 * motor.model.velocity_max * _SWEEP_S
+    step = Polynomial((0.0, 0.0, 3.0 * fast, -2.0 * fast)).restricted(0.0, 1.0)
+    try:
+        motor.set_trajectory(ComplexTrajectory(step, relative=True), _Sweep(bench))
+        motor.start()
+    except UnsupportedError as error:
+        raise NotApplicable(f"no argument can lead this motor: {error}") from None
+    except LimitError:
+        return
+    raise Violated(f"up to {1.5 * fast / _SWEEP_S:g} {motor.model.unit}/s by its argument: started")
+
+
 @clause(
     "LEAD-04",
     Level.L1,
@@ -661,6 +698,7 @@ def step_of_argument_is_refused_truly(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.5 * long_move(bench)
     motor.enable()
     motor.set_control_mode(ControlMode.TRAJECTORY)
+    _expect_rate_is_heeded(bench, motor)
     slow = _LEADS * motor.model.velocity_max
     reach = 2.0 * way / slow
     ramp = Polynomial((0.0, slow)).restricted(-reach, reach)

@@ -1,6 +1,7 @@
 """Cyclic modes: csp, csv, cst and ip with SYNC; offsets, limits, halt, loss of SYNC."""
 
 import struct
+from itertools import pairwise
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
@@ -167,15 +168,15 @@ def position_offset(bench: DriveBench) -> None:
             drive.near(od.POSITION, start, drive.window(), what)
     if drive.find(od.TORQUE_OFFSET) is None or hides_push:
         return
-    for torque in (_PUSH, -_PUSH):
+    for before, torque in pairwise((0, _PUSH, 0, -_PUSH, 0)):
         drive.write(od.TORQUE_OFFSET, torque)
         track = drive.watch(od.POSITION, lambda one: abs(one.value - start) > 1, 5.0 * SYNC_S)
         pushed = track[-1].value - start
-        what, cause = f"csp at rest, 60B2h = {torque}", "60B2h is ignored, or has the other sign"
-        drive.expect(pushed * torque > 0, what, "a push in its direction", f"{pushed}", cause)
-        drive.write(od.TORQUE_OFFSET, 0)
+        what = f"csp at rest, 60B2h = {torque} after {before}"
+        is_pushed, cause = pushed * (torque - before) > 0, "60B2h is ignored, or has the other sign"
+        drive.expect(is_pushed, what, "a push in the direction of the change", f"{pushed}", cause)
         stream.send(start, 40)
-        drive.near(od.POSITION, start, drive.window(), "60B2h = 0 again")
+        drive.near(od.POSITION, start, drive.window(), f"{what}, later")
 
 
 @drive_clause("CSP-03", Level.L4, source=f"{_CSP}, 607Dh; statusword bits 11 and 12")

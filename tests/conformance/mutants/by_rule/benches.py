@@ -15,12 +15,13 @@ VARIANTS: Final = (
     *("linear axis", "inverted polarity", "inverted velocities", "brakes gently", "only pp"),
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
-    *("position limits in the drive", "no TPDOs", "SI units"),
+    *("position limits in the drive", "no TPDOs", "SI units", "no heartbeat consumer"),
 )
 VARIED: Final = {
     "cia402": (
         *("motor options", "lost host disables", "units of the drive + reversing gear"),
         *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
+        "two buses with equal node-IDs",
     ),
     "dryve": ("dryve options + dryve drive options + velocities in rpm",),
     "dynamixel": ("servo options + servo drive options",),

@@ -329,6 +329,8 @@ def test_switch_beyond_the_end_of_travel_is_reported():
     ]
     assert drive.take_events() == [("warning", text) for text in wanted]
     assert not new_drive(switches=there).take_events()
+    within = {"negative_limit_rad": -0.9, "positive_limit_rad": 0.9}
+    assert not new_drive(plant=plant, switches=within).take_events()
 
 
 def test_missing_node_id_is_reported():

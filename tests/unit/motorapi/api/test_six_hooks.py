@@ -151,12 +151,15 @@ def test_fault_without_a_code_is_reported(motor, hw):
 class PolledMotor(SixMotor):
     """A motor whose drive must be asked, which waits."""
 
+    answered = None
+
     def _refresh(self):
         self.runtime.wait_until(lambda: False, 0.001)
+        self.answered = self.hw.fault
         return 0.01
 
     def _latest_fault(self):
-        return self.hw.fault
+        return self.answered
 
 
 def test_fault_of_a_polled_motor_ends_its_wait(hw):
@@ -248,3 +251,10 @@ def test_every_hook_is_on_the_page_of_the_api():
     page = (CHECKOUT / "docs" / "reference" / "adaptation.md").read_text()
     hooks = {field.name for field in fields(Hooks)} - {"plugin"} | {"command", "latest_fault"}
     assert [hook for hook in sorted(hooks) if f"`_{hook}(" not in page] == []
+
+
+def test_drive_is_asked_for_its_fault(hw):
+    motor = PolledMotor(hw)
+    assert motor.fault() is None
+    fault_now(hw)
+    assert motor.fault() == hw.fault

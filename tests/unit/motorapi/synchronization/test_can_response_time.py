@@ -173,3 +173,16 @@ def test_queues_late_beyond_deadlines_end_the_analysis():
     begun = effort.left
     assert not are_in_time(load, ErrorModel(1, 166_000), effort)
     assert begun - effort.left < 200_000
+
+
+def test_frame_waits_behind_very_many_that_are_late_together():
+    """Davis et al. 2007, (5): the least w with w = C ceil((w + J + a bit) / T), and its own C."""
+    takes_ns, period_ns, late_ns = 135 * US, 140 * US, 400 * MS
+    late, last = Message(0x10, 8, period_ns, jitter_ns=late_ns), Message(0x20, 0, 1000 * MS)
+    waits_ns, again_ns = -1, 0
+    while again_ns > waits_ns:
+        waits_ns = again_ns
+        again_ns = takes_ns * -(-(waits_ns + late_ns + US) // period_ns)
+    load = BusLoad("late", 1_000_000, (late, last))
+    (found,) = response_times(load, asked=(last.rank,))
+    assert found.response_ns == waits_ns + 55 * US

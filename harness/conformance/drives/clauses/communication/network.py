@@ -183,12 +183,14 @@ def _expect_fault_when_switched_on(drive: Drive) -> None:
 
 
 def _expect_error_behaviour(drive: Drive) -> None:
-    """Check the NMT state that 1029h:1 chooses after a lost host, where the drive has it."""
+    """Check the NMT state that 1029h:1 chooses after a lost host; without it that of its 0."""
     own = drive.find(od.COMMUNICATION_ERROR)
-    if own is None or drive.offer_value(od.HEARTBEAT_PRODUCER, _CONSUMER_MS // 4):
+    if drive.offer_value(od.HEARTBEAT_PRODUCER, _CONSUMER_MS // 4):
         return
     for behaviour, state in ((1, 0x05), (2, 0x04), (0, 0x7F)):
-        if drive.offer_value(od.COMMUNICATION_ERROR, behaviour):
+        if own is None and behaviour:
+            continue
+        if own is not None and drive.offer_value(od.COMMUNICATION_ERROR, behaviour):
             continue
         drive.client.node.nmt.send_command(START)
         drive.set(od.HEARTBEAT_CONSUMER, _HOST << 16 | _CONSUMER_MS)
@@ -206,7 +208,8 @@ def _expect_error_behaviour(drive: Drive) -> None:
         )
         drive.client.node.nmt.send_command(PRE_OPERATIONAL)
         drive.write(od.HEARTBEAT_CONSUMER, 0)
-    drive.write(od.COMMUNICATION_ERROR, own)
+    if own is not None:
+        drive.write(od.COMMUNICATION_ERROR, own)
     drive.write(od.HEARTBEAT_PRODUCER, 0)
 
 

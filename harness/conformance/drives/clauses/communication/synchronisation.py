@@ -91,6 +91,15 @@ def counted_sync(bench: DriveBench) -> None:
     drive.await_emergency(_ODD_SYNC, begin_ns, "SYNC with a counter, 1019h = 0")
     sync(drive)
     drive.await_emergency(0x0000, begin_ns, "SYNC without a counter, 1019h = 0")
+    drive.client.node.nmt.send_command(PRE_OPERATIONAL)
+    drive.quiet()
+    operational(drive)
+    begin_ns = drive.now_ns
+    for _ in range(2 * _EVERY):
+        sync(drive)
+    count = len(drive.client.heard(tpdo, begin_ns))
+    what = f"TPDO of type {_EVERY}, {2 * _EVERY} SYNCs, 1019h = 0"
+    drive.expect(count == 2, what, "2 TPDOs: no counter to wait for", f"{count}")
 
 
 @drive_clause("SYN-02", Level.L4, source="CiA 301, 7.5.2.5, 1005h bit 30; 7.5.2.6, 1006h")
