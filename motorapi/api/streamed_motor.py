@@ -109,7 +109,7 @@ class StreamedMotor(CanMotor[HardwareT]):
     def _stop(self) -> None:
         hardware = self.hardware
         if hardware.motions.variable is None:
-            if not self._rests():
+            if hardware.drive.foreign_token() or not self._rests():
                 hardware.stop_anyway()
             return
         slower = self._physical.stop_deceleration(self.model.deceleration) * abs(self._units)

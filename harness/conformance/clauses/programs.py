@@ -144,6 +144,33 @@ def program_leaves_motor_of_other_program_alone(bench: RigProtocol) -> None:
 
 
 @clause(
+    "PROC-15",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_TWO, Ability.OTHER_PROGRAM},
+    source="motorapi.motor: Motor.stop",
+)
+def stop_of_other_program_acts(bench: RigProtocol) -> None:
+    """A stop needs no ownership: it ends a motion of another program, even one just begun."""
+    motor, other = _both(bench)
+    other.position()
+    way = 2.0 * long_move(bench)
+    for when, share in (("just begun", 0.0), ("on its way", 0.3)):
+        before = position_of(bench, motor)
+        prepare(motor, way)
+        motor.start()
+        rest_for(bench, share * midway_s(motor, way, 1.0))
+        other.stop()
+        rest_for(bench, 2.0 * shortest_s(motor, way))
+        what = f"a stop by another program, of a motion {when}"
+        expect_rest(bench, motor, what)
+        went, unit = position_of(bench, motor) - before, motor.model.unit
+        expect(abs(went) < 0.9 * abs(way), f"{what}: it went {went:g} of {way:g} {unit}")
+        _leave(bench, motor)
+        way = -way
+
+
+@clause(
     "PROC-09",
     Level.L3,
     needs=_MOVES,

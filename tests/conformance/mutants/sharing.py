@@ -13,6 +13,7 @@ from motorhil.motorapi.adaptations.mit.hardware import MitHwMotor
 from motorhil.motorapi.api import can_drive
 from motorhil.motorapi.api.can_hardware import StreamedCanHardware
 from motorhil.motorapi.api.polled_motor import PolledMotor
+from motorhil.motorapi.api.streamed_motor import StreamedMotor
 from motorhil.motorapi.group import CommonMotion
 from motorhil.motorapi.locking.process_lock import ProcessLock
 from motorhil.motorapi.logical_motor import LogicalMotor
@@ -386,6 +387,21 @@ def operations_do_not_wait():
         raise queue._queue[0].busy(queue.label)
 
     with replaced(FifoQueue, "_wait", lambda _: refuse):
+        yield
+
+
+@mutant("rmd", "PROC-15")
+def a_stop_believes_the_last_measurement():
+    """A stop does nothing if the motor was at rest when it was measured last."""
+
+    def wrong(stop):
+        def stopped(motor):
+            if motor.hardware.motions.variable is not None or not motor._rests():
+                stop(motor)
+
+        return stopped
+
+    with replaced(StreamedMotor, "_stop", wrong):
         yield
 
 
