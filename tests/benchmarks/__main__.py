@@ -28,11 +28,17 @@ def modules(wanted: list[str], every: bool) -> list[str]:
     return known if every else [name for name in known if name in FELT]
 
 
-def figures(names: list[str]) -> Iterator[tuple[str, kept.Figure]]:
-    """Yield each figure with the benchmark that it belongs to, as they are measured."""
+def figures(names: list[str]) -> Iterator[tuple[str, float, list[kept.Figure]]]:
+    """Yield each benchmark with the loop's time beside it [ms], and its figures.
+
+    The speed of a virtual machine may change within seconds, so each benchmark has a loop of its
+    own, before and after it.
+    """
     for name in names:
         run = importlib.import_module(f"tests.benchmarks.{name}").run
-        yield from ((name.removeprefix("bench_"), one) for one in kept.named(run()))
+        before = kept.loop_ms()
+        some = list(kept.named(run()))
+        yield name.removeprefix("bench_"), min(before, kept.loop_ms()), some
 
 
 def main() -> int:
@@ -51,19 +57,16 @@ def main() -> int:
     before = kept.read()
     runs: dict[str, tuple[str, list[float]]] = {}
     for _ in range(max(1, options.keep)):
-        begun_s, room = time.monotonic(), ""
-        loop = kept.loop_ms()
-        for where, (name, figure, unit) in figures(names):
-            if where != room:
-                room = where
-                print(f"\n{room}")
-            key = f"{room}: {name}"
-            scaled = kept.scaled(figure, unit, loop)
-            runs.setdefault(key, (unit, []))[1].append(scaled)
-            moved = kept.told(before.get(key), scaled, unit)
-            print(f"  {name:<66} {figure:>12,.3f} {unit:<12} {moved}".rstrip(), flush=True)
-        print(f"\nloop of this machine: {loop:.1f} ms before, {kept.loop_ms():.1f} ms after")
-        print(f"{time.monotonic() - begun_s:.0f} s")
+        begun_s = time.monotonic()
+        for room, loop, some in figures(names):
+            print(f"\n{room}, beside a loop of {loop:.1f} ms")
+            for name, figure, unit in some:
+                key = f"{room}: {name}"
+                scaled = kept.scaled(figure, unit, loop)
+                runs.setdefault(key, (unit, []))[1].append(scaled)
+                moved = kept.told(before.get(key), scaled, unit)
+                print(f"  {name:<66} {figure:>12,.3f} {unit:<12} {moved}".rstrip(), flush=True)
+        print(f"\n{time.monotonic() - begun_s:.0f} s")
     if options.keep:
         now = {name: kept.kept_of(unit, some) for name, (unit, some) in runs.items()}
         kept.write({**before, **now}, describe())
