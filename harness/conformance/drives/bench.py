@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self, final
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, final
 
 from motorhil.emulators.settings.tables import plant_of
 from motorhil.harness.conformance.bench import Ability
@@ -20,6 +20,9 @@ from motorhil.harness.rig.rig import Rig
 if TYPE_CHECKING:
     from motorhil.motorapi import Motor
     from motorhil.motorapi.runtime.api import Runtime
+
+
+_END_STOPS: Final = "stop_"
 
 
 class DriveBench(Protocol):
@@ -51,6 +54,13 @@ class DriveBench(Protocol):
 
     def plant(self) -> Mapping[str, float]:
         """Return all numbers of the plant that the rig states; raise NotApplicable if none is."""
+
+    def add_end_stops(self) -> None:
+        """Switch everything off and on again, with the end stops of the plant; usually it has none.
+
+        Raises:
+            NotApplicable: the drive is real.
+        """
 
     def fail(self) -> int | None:
         """Cause a short fault in the drive; return its error code, or None if it cannot."""
@@ -90,6 +100,10 @@ class _Bench:
         """Raise NotApplicable: the plant of a real drive is not stated."""
         raise NotApplicable("the bench does not know the plant")
 
+    def add_end_stops(self) -> None:
+        """Raise NotApplicable: a real drive has the end stops that it has."""
+        raise NotApplicable("the bench cannot add end stops")
+
     def _meet(self, cleanup: ExitStack, client: Client, controller: ControllerDescription) -> Drive:
         cleanup.callback(client.close)
         units = controller.settings.get("units", {})
@@ -102,6 +116,8 @@ class _Bench:
 @final
 class EmulatedBench(_Bench):
     """An open rig with the drive under test; a context manager that closes it.
+
+    The plant has no end stops: clauses move the motor as far as its drive permits.
 
     Args:
         description: the rig.
@@ -123,16 +139,27 @@ class EmulatedBench(_Bench):
         super().__init__(description, controller, seed)
         self._limit_s = limit_s
         self._name = controller
-        described = description.controllers[controller]
+        self._stated_rig = description
+        self._record = record
+        self._open(_without_end_stops(description, controller))
+
+    def _open(self, description: RigDescription) -> None:
+        described = description.controllers[self._name]
+        record = self._record
         with ExitStack() as cleanup:
             self._rig = cleanup.enter_context(
-                Rig(description, seed=seed, record=record, doubts=record is not None)
+                Rig(description, seed=self.seed, record=record, doubts=record is not None)
             )
             self.runtime: Runtime = self._rig.runtime
-            self._rig.world.queue.alarm(self._time_is_up).set(round(limit_s * 1e9))
+            self._rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
             client = Client(self._rig.bus(described.bus), self.runtime, node_of(described))
             self.drive: Drive = self._meet(cleanup, client, described)
             self._cleanup = cleanup.pop_all()
+
+    def add_end_stops(self) -> None:
+        """Switch everything off and on again, with the end stops of the plant."""
+        self._cleanup.close()
+        self._open(self._stated_rig)
 
     def _time_is_up(self, now_ns: int) -> None:
         raise TimeIsUp(f"still waiting after {self._limit_s:g} s of the rig's time")
@@ -234,6 +261,17 @@ class RealBench(_Bench):
     def fail(self) -> int | None:
         """Return None: a real drive has no stimuli."""
         return None
+
+
+def _without_end_stops(description: RigDescription, name: str) -> RigDescription:
+    """Return the rig with a plant of this controller that has no end stops."""
+    described = description.controllers[name]
+    plant = described.settings.get("plant")
+    if not isinstance(plant, Mapping):
+        return description
+    kept = {key: value for key, value in plant.items() if not key.startswith(_END_STOPS)}
+    freed = replace(described, settings={**described.settings, "plant": kept})
+    return replace(description, controllers={**description.controllers, name: freed})
 
 
 def node_of(controller: ControllerDescription) -> int:

@@ -60,6 +60,12 @@ def test_stated_switches_make_their_clauses_apply(drive, names):
     assert [verdict(found, name).result for name in names] == [Result.PASSED] * len(names)
 
 
+@pytest.mark.parametrize("name", ["PV-01", "PP-01", "TQ-01", "PLANT-04"])
+def test_drive_between_end_stops_is_not_accused(name):
+    seen = verdict(target(DRIVES["end stops"]), name)
+    assert seen.result is Result.PASSED, seen
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("drive", [name for name in DRIVES if not name.startswith("quirk ")])
 def test_correct_drive_is_not_accused(drive):

@@ -304,6 +304,7 @@ def _free_track(bench: DriveBench, load_n_m: float, time_s: float) -> list[tuple
 def way_has_ends(bench: DriveBench) -> None:
     """A load stops at the ends of its way, rebounds with its share of speed, and rests there."""
     plant = _plant(bench, "stop_low_rad", "stop_high_rad")
+    bench.add_end_stops()
     drive = bench.drive
     load_n_m = _friction(plant) + _LOAD_N_M
     share = plant.stop_restitution
