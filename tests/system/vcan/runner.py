@@ -22,6 +22,7 @@ from pathlib import Path
 
 from motorhil.harness.sharing_tests.arena import die_with
 
+BOOT_S = 60  # it takes 2 to 10 s
 NO_WAY = 125
 CAN_MODULES = ("net/can/can", "net/can/can-raw", "net/can/can-bcm", "drivers/net/can/dev/can-dev")
 VCAN_MODULE = "drivers/net/can/vcan"
@@ -101,6 +102,7 @@ def guest_script(run: Path, busybox: Path, modules: list[Path], count: int) -> s
     load = "\n".join(f"$bb insmod {shlex.quote(str(m))}" for m in modules)
     return f"""#!/bin/bash
 run={quoted}; bb={shlex.quote(str(busybox))}
+: >"$run/booted"
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 $bb mount -t proc proc /proc
 $bb mount -t sysfs sysfs /sys
@@ -126,6 +128,25 @@ while :; do $bb sleep 1; done
 """
 
 
+def end_of(guest: "subprocess.Popen[bytes]", booted: Path) -> None:
+    """Wait for the end of a guest.
+
+    Raises:
+        NoWayError: it has not booted in time, as on some processors; it is ended.
+    """
+    try:
+        guest.wait(BOOT_S)
+    except subprocess.TimeoutExpired:
+        if not booted.is_file():
+            raise NoWayError(
+                f"the User Mode Linux guest has not booted within {BOOT_S} s"
+            ) from None
+        guest.wait()
+    finally:
+        guest.kill()
+        guest.wait()
+
+
 def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
     """Return the command's exit status from a User Mode Linux guest on this machine's files."""
     uml = unpacked("user-mode-linux")
@@ -147,7 +168,7 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
         (run / "init").write_text(guest_script(run, busybox, modules, count))
         for name in ("command", "init"):
             (run / name).chmod(0o755)
-        subprocess.run(
+        guest = subprocess.Popen(
             [
                 *(namespace_prefix(PROCESSES, ["true"]) or ()),
                 str(kernel),
@@ -169,9 +190,9 @@ def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env={**os.environ, "TMPDIR": "/dev/shm" if os.access("/dev/shm", os.W_OK) else "/tmp"},
-            check=False,
             preexec_fn=partial(die_with, os.getpid()),
         )
+        end_of(guest, run / "booted")
         for name, stream in (("out", sys.stdout), ("err", sys.stderr)):
             if (run / name).is_file():
                 stream.write((run / name).read_text(errors="replace"))

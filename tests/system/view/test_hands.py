@@ -216,6 +216,7 @@ def test_view_of_a_rig_has_the_same_hands(wheels, capsys):
         assert watched.act(act="stimulus", controller="left", name="home", value=1) == (200, "done")
         assert watched.act(act="continue") == (200, "done")
         watched.line("1 act by hand; -o FILE keeps them in a recording")
+        watched.line("the run is over")
         assert watched.interrupted()[0] == 0
     assert main(["run", "wheels/rig.toml", "wheels/drive.py", "--paused"]) == 2
     assert "--paused needs a page that lets time pass; add --view" in capsys.readouterr().err
