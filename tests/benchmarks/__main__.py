@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 
 import tests.benchmarks
-from motorhil.harness.version import describe
+from motorhil.harness.version import describe, source_digest, version
 from tests.benchmarks import kept
 
 FELT = ("bench_system", "bench_start", "bench_locks", "bench_modbus", "bench_canopen")
@@ -69,7 +69,7 @@ def main() -> int:
         print(f"\n{time.monotonic() - begun_s:.0f} s")
     if options.keep:
         now = {name: kept.kept_of(unit, some) for name, (unit, some) in runs.items()}
-        kept.write({**before, **now}, describe())
+        kept.write({**before, **now}, f"motorhil {version()}, source {source_digest()}")
     return 0
 
 
