@@ -105,6 +105,6 @@ def told(kept: Kept | None, figure: float, unit: str) -> str:
     change = kept.moved(figure)
     if change is None:
         return ""
-    good = {TIMES: change < 0.0, RATES: change > 0.0}
-    words = next((("better" if x else "worse") for units, x in good.items() if unit in units), "")
-    return f"moved {change:+.0%} {words}".rstrip()
+    if unit not in (*TIMES, *RATES):
+        return f"moved {change:+.0%}"
+    return f"moved {change:+.0%} {'better' if (change < 0.0) == (unit in TIMES) else 'worse'}"

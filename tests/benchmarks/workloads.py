@@ -162,24 +162,36 @@ def suite(rigs: int = 50) -> Figures:
 # --- growth with the number of drives
 
 
-def _drives_rig(folder: str, drives: int) -> Path:
-    """Write a rig of drives with motors, ten on each bus, all in one group."""
+def _controllers(drives: int, each_bus: int, keys: str = "") -> list[str]:
+    """Return the lines of drives d1, d2, ..., so many on each bus, each with these keys."""
+    lines: list[str] = []
+    for number in range(drives):
+        bus, place = divmod(number, each_bus)
+        if place == 0:
+            lines += [f"[bus.can{bus}]", "bitrate_bit_s = 1_000_000"]
+        lines += [f"[controller.d{number + 1}]", 'kind = "cia402"', f'bus = "can{bus}"']
+        lines += [f"node_id = {place + 1}", 'plant = { preset = "wheel_60w" }', keys]
+    return lines
+
+
+def _rig(folder: str, lines: list[str]) -> Path:
+    """Write a rig with these lines."""
+    path = Path(folder) / "rig.toml"
+    path.write_text("\n".join(['rig = { name = "rig" }', *lines]) + "\n")
+    return path
+
+
+def _motors(drives: int) -> list[str]:
+    """Return the lines of a motor for each drive, all in one group."""
     from motorhil.harness import examples
 
     model = Path(examples.__file__).parent / "wheel_model.toml"
-    lines = ["rig = { name = 'drives' }", "[group.all]"]
-    lines.append(f"motors = {[f'd{number}' for number in range(drives)]}")
-    for number in range(drives):
-        bus, node = f"can{number // 10}", number % 10 + 1
-        if node == 1:
-            lines.append(f"[bus.{bus}]\nbitrate_bit_s = 1_000_000")
-        lines += [f"[controller.d{number}]", "kind = 'cia402'", f"bus = '{bus}'"]
-        lines += [f"node_id = {node}", "plant = { preset = 'wheel_60w' }"]
-        lines += [f"[motor.d{number}]", "adaptation = 'cia402'", f"controller = 'd{number}'"]
+    names = [f"d{number + 1}" for number in range(drives)]
+    lines = ["[group.all]", f"motors = {names}"]
+    for name in names:
+        lines += [f"[motor.{name}]", "adaptation = 'cia402'", f"controller = '{name}'"]
         lines += [f"model = '{model}'"]
-    path = Path(folder) / f"drives{drives}.toml"
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return lines
 
 
 def _per_drive_ms(drives: int, simulated_s: float = 4.0) -> float:
@@ -187,7 +199,8 @@ def _per_drive_ms(drives: int, simulated_s: float = 4.0) -> float:
     from motorhil.harness.rig.rig import Rig
     from motorhil.motorapi import ControlMode, Motor, TrapezoidalTrajectory
 
-    with TemporaryDirectory() as folder, Rig.open(_drives_rig(folder, drives)) as rig:
+    lines = [*_controllers(drives, 10), *_motors(drives)]
+    with TemporaryDirectory() as folder, Rig.open(_rig(folder, lines)) as rig:
         group, runtime = rig.groups["all"], rig.runtime
         group.for_each(Motor.enable)
         group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
@@ -219,16 +232,6 @@ def drives() -> Figures:
 # --- cyclic synchronous position
 
 
-def _csp_rig(folder: str, drives: int) -> str:
-    lines = ['rig = { name = "csp" }', "bus.can0.bitrate_bit_s = 1_000_000"]
-    for node in range(1, drives + 1):
-        lines += [f"[controller.d{node}]", 'kind = "cia402"', 'bus = "can0"']
-        lines += [f"node_id = {node}", 'plant = { preset = "wheel_60w" }']
-    path = Path(folder) / f"csp{drives}.toml"
-    path.write_text("\n".join(lines) + "\n")
-    return str(path)
-
-
 def _enabled(rig, drives: int, **options):  # type: ignore[no-untyped-def]
     """Return the hardware objects of all enabled drives; TPDO 1 (6041h, 6064h) is of type 1."""
     from motorhil.motorapi.adaptations.cia402.bringup import HwOptions
@@ -251,7 +254,10 @@ def _stream(drives: int) -> tuple[float, int, float, str]:
     """Stream CYCLES set-points; return (CPU [s], late set-points, bus load, message)."""
     from motorhil.harness.rig.rig import Rig
 
-    with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
+    with (
+        TemporaryDirectory() as folder,
+        Rig.open(_rig(folder, _controllers(drives, drives))) as rig,
+    ):
         told: list[str] = []
         rig.world.tap_events(lambda time_ns, level, name, text: told.append(text))
         hardware = _enabled(rig, drives)
@@ -284,7 +290,10 @@ def _bare(drives: int) -> float:
     from motorhil.harness.rig.rig import Rig
     from motorhil.motorapi.adaptations.cia402.objects import Mode
 
-    with TemporaryDirectory() as folder, Rig.open(_csp_rig(folder, drives)) as rig:
+    with (
+        TemporaryDirectory() as folder,
+        Rig.open(_rig(folder, _controllers(drives, drives))) as rig,
+    ):
         hardware = _enabled(rig, drives, heartbeat_ms=0, connection_loss=None)
         for hw in hardware:
             hw.set_mode(Mode.CYCLIC_SYNC_POSITION)
@@ -348,14 +357,8 @@ def _rest(folder: str, heartbeat_ms: int) -> float:
     """Return the CPU time [s] of an hour at rest."""
     from motorhil.harness.rig.rig import Rig
 
-    lines = ['rig = { name = "rest" }', "bus.can0.bitrate_bit_s = 1_000_000"]
-    for node in range(1, 101):
-        lines += [f"[controller.d{node}]", 'kind = "cia402"', 'bus = "can0"', f"node_id = {node}"]
-        lines += ['plant = { preset = "wheel_60w" }']
-        if heartbeat_ms:
-            lines += [f'objects = {{ "1017h" = {heartbeat_ms} }}']
-    path = Path(folder) / "rest.toml"
-    path.write_text("\n".join(lines) + "\n")
+    heartbeats = f'objects = {{ "1017h" = {heartbeat_ms} }}' if heartbeat_ms else ""
+    path = _rig(folder, _controllers(100, 100, heartbeats))
     with Rig.open(path) as rig:
         gc.collect()  # garbage of the construction
         begun = time.process_time()

@@ -159,7 +159,7 @@ def stop_of_other_program_acts(bench: RigProtocol) -> None:
         before = position_of(bench, motor)
         prepare(motor, way)
         motor.start()
-        rest_for(bench, share * midway_s(motor, way, 1.0))
+        rest_for(bench, midway_s(motor, way, share))
         other.stop()
         rest_for(bench, 2.0 * shortest_s(motor, way))
         what = f"a stop by another program, of a motion {when}"
