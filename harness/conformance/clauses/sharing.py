@@ -464,7 +464,7 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     source="Device.close: releases the device; paper 3.5, one hardware object for each motor",
 )
 def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
-    """After close(), a motor can be opened again in the same program; the old one is refused."""
+    """After close(), even in a stop, a motor can be opened again; the old one is refused."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     begin_move(bench, motor, 2.0 * way, 0.5 * shortest_s(motor, way))
@@ -488,6 +488,11 @@ def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
         expect_moved(bench, again, before, way, "opened again")
     motor.close()
     expect_state(again, MotorState.ENABLED, "after a second close() of the old one")
+    begin_move(bench, again, way, 0.5 * shortest_s(again, way))
+    again.stop()
+    again.close()
+    error = failure_of(partial(again.wait_until_done, 1.0))
+    expect(error is not None, "close() before a stop was over: the wait returned as if it were")
 
 
 @clause(

@@ -83,6 +83,14 @@ class Evidence(Listener):
         wait_for(lambda: len(self.fired()) >= count)
         return self.fired()
 
+    def halts(self):
+        """Return the set-points with bit 8, halt, of each drive."""
+        found = {}
+        for can_id, data in tuple(self.frames):
+            if can_id != SYNC and data[1] & 0x01:
+                found.setdefault(can_id - 0x300, set()).add(data.hex())
+        return found
+
     def syncs(self):
         return sum(can_id == SYNC for can_id, _ in tuple(self.frames))
 
@@ -179,6 +187,8 @@ def test_target_armed_by_a_killed_process_never_begins(programs, evidence):
     assert second.ask("wait") == "done"
     assert evidence.hears(1) == [{3, 4}]
     assert evidence.syncs() == 2  # one clears the armed target
+    halts = evidence.halts()
+    assert halts == {1: {"0f0100000000"}, 2: {"0f0100000000"}}, halts  # the length that is mapped
     third = programs(1, 2)
     assert third.ask("positions") == "0.000 0.000"
     assert third.ask("group 0.01") == "started"

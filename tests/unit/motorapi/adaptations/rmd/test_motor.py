@@ -15,7 +15,13 @@ from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.reading import installed_plugins
 from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import ControlMode, ControlVariable, MotorState
-from motorhil.motorapi.errors import DeviceFault, LinkError, MotionInterrupted, UsageError
+from motorhil.motorapi.errors import (
+    DeviceFault,
+    LinkError,
+    MotionInterrupted,
+    MotorBusyError,
+    UsageError,
+)
 from motorhil.motorapi.model import MotorModel
 
 MODEL = "velocity_max_rad_s = 2.0\nacceleration_max_rad_s2 = 4.0\n"
@@ -189,6 +195,22 @@ def test_interrupted_motion_is_told():
         with pytest.raises((MotionInterrupted, LinkError)):
             motor.wait_until_done(timeout_s=5)
         assert true(rig, "mode") == 0
+
+
+def test_stop_of_a_stream_that_another_program_ended_is_one_frame(monkeypatch):
+    def refuse(*_):
+        raise MotorBusyError(motor="left", holder="rescue", since_ns=0)
+
+    with opened() as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        go_to(motor, 3.0)
+        rig.runtime.run_for(0.5)
+        ear.heard()
+        monkeypatch.setattr(motor.hardware, "send", refuse)
+        motor.stop()
+        rig.runtime.run_for(0.5)
+        assert (0x141, "8100000000000000") in ear.heard()
+        assert true(rig, "velocity_rad_s") == pytest.approx(0.0, abs=1e-3)
 
 
 def test_fault_of_level_1_is_reset_by_a_restart():
