@@ -1,6 +1,6 @@
 """L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from itertools import product
@@ -8,6 +8,7 @@ from math import hypot, inf, sqrt
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
 from motorhil.harness.conformance.clauses.helpers import (
     FINE_S,
     braking_distance,
@@ -513,8 +514,10 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
             TrapezoidalTrajectory(first), TrapezoidalTrajectory(second, limits=limits)
         )
         with in_phase(group):
-            track = _expect_line(bench, group, ways)
+            track, took_s = _expect_line(bench, group, ways)
         if limits is None:
+            most_s = 1.1 * _fastest_line_s(bench.motors, ways) + bench.facts.time_tolerance_s
+            expect(took_s <= most_s, f"the line took {took_s:.3f} s; limit {most_s:.3f} s")
             continue
         found = fastest([(at_ns / 1e9, at) for at_ns, (_, at) in track.samples])
         unit = bench.motors[1].model.unit
@@ -528,13 +531,32 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     expect(after == told, f"one member moved alone later: the path was {told}, and is {after}")
 
 
+def _fastest_line_s(motors: Sequence[Motor], ways: tuple[float, float]) -> float:
+    """Return the shortest time in which these go their ways in proportion [s]."""
+    longest = max(map(abs, ways))
+    pairs = [(motor, abs(way) / longest) for motor, way in zip(motors, ways, strict=False)]
+    return least_s(
+        longest,
+        min(motor.model.velocity_max / part for motor, part in pairs),
+        min(motor.model.acceleration_max / part for motor, part in pairs),
+        min(motor.model.deceleration / part for motor, part in pairs),
+        min(jerk_of(motor) / part for motor, part in pairs),
+    )
+
+
 def _expect_line(
     bench: RigProtocol, group: MotorGroup, ways: tuple[float, float]
-) -> GroupPositions:
-    """Start the group, check that it stays on the line, as it tells, and return its positions."""
+) -> tuple[GroupPositions, float]:
+    """Start the group, and check that it stays on the line, as it tells.
+
+    Return its positions, and the time from the end of its start to the end of its motion [s].
+    """
     can = group.sync_capability()
     track = GroupPositions(bench, group)
     group.start()
+    begun_ns = bench.runtime.now_ns()
+    group.wait_until_done(10.0)
+    took_s = elapsed_s(bench, begun_ns)
     finish_group(bench, group)
     track.end()
     expect(len(can.path) == len(ways), f"a path of {len(can.path)} motors was predicted")
@@ -553,7 +575,7 @@ def _expect_line(
     )
     reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
     expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
-    return track
+    return track, took_s
 
 
 def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> float:

@@ -491,8 +491,8 @@ def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
     begin_move(bench, again, way, 0.5 * shortest_s(again, way))
     again.stop()
     again.close()
-    error = failure_of(partial(again.wait_until_done, 1.0))
-    expect(error is not None, "close() before a stop was over: the wait returned as if it were")
+    told = failure_of(partial(again.wait_until_done, 1.0))
+    expect(told is not None, "close() before a stop was over: the wait returned as if it were")
 
 
 @clause(

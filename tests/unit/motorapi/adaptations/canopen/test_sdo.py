@@ -4,7 +4,7 @@ import pytest
 
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
-from motorhil.motorapi.errors import DeadlineExceeded
+from motorhil.motorapi.errors import DeadlineExceeded, MotorBusyError
 from motorhil.motorapi.runtime.can_link import CanLink
 from tests.support.motors.scripted import FRAME_NS, MS, Answer, ScriptedBus, Transcript, frame
 
@@ -42,6 +42,28 @@ def test_segmented_upload_alternates_the_toggle_bit():
 def test_expedited_download_is_confirmed():
     script = Transcript([("602#2B171000A00F0000", "582#6017100000000000")])
     channel_to(ScriptedBus(script)).download(0x1017, 0, (4000).to_bytes(2, "little"))
+    assert script.is_over
+
+
+class Refusal:
+    """The fence of a motor that another program has taken over."""
+
+    def send(self, frame):
+        raise MotorBusyError(motor="left", holder="rescue", since_ns=0)
+
+    def passage(self):
+        raise MotorBusyError(motor="left", holder="rescue", since_ns=0)
+
+
+def test_only_a_write_that_stops_passes_the_fence():
+    script = Transcript([("602#2B4060000B000000", "582#6040600000000000")])
+    bus = ScriptedBus(script)
+    channel = channel_to(bus)
+    channel.fence = Refusal()
+    with pytest.raises(MotorBusyError, match="left is held by rescue"):
+        channel.download(0x6040, 0, b"\x0f\x00")
+    assert bus.texts == []
+    channel.download(0x6040, 0, b"\x0b\x00", stops=True)
     assert script.is_over
 
 

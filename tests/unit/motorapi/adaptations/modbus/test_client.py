@@ -136,6 +136,25 @@ def test_late_answer_in_pieces_is_not_the_next_one(runtime, pieces):
     assert read(modbus) == [2222]
 
 
+@pytest.mark.parametrize("framing", ["rtu", "tcp"])
+@pytest.mark.parametrize(
+    ("unit", "pdu"), [(2, "03 02 0007"), (1, "04 02 0007"), (1, "84 02")], ids=["unit", "04", "84"]
+)
+def test_answer_of_another_unit_or_function_is_not_taken(runtime, framing, unit, pdu):
+    def answer(line, number):
+        for time_s, own, said in ((0.01, unit, pdu), (0.05, 1, "03 02 0457")):
+            data = bytes((own,)) + bytes.fromhex(said)
+            head = bytes((0, number, 0, 0, 0, len(data)))
+            line.hear_after(time_s, with_crc(data) if framing == "rtu" else head + data)
+
+    _, modbus = on(runtime, answer, framing)
+    if framing == "tcp":
+        assert read(modbus) == [1111]
+    else:  # where the other one ends is not known
+        with pytest.raises(ModbusProtocolViolation, match=r"not an answer to the request \(0"):
+            read(modbus)
+
+
 READ = ReadHoldingRegistersRequest(address=0x10, count=1)
 WRITE = WriteSingleRegisterRequest(address=0x10, registers=[5])
 WRITE_TWO = WriteMultipleRegistersRequest(address=0x10, registers=[5, 6])

@@ -22,7 +22,9 @@ from motorhil.motorapi import (
     MotorState,
     PeerError,
     TrapezoidalTrajectory,
+    UsageError,
 )
+from motorhil.motorapi.adaptations.moteus.motor import MoteusHwMotor
 
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 GEAR = 66.0
@@ -67,6 +69,11 @@ def go_to(motor, value):
     motor.set_control_mode(ControlMode.SETPOINT)
     motor.set_setpoint(value)
     motor.start()
+
+
+def test_broadcast_is_no_node(rig):
+    with another() as bus, pytest.raises(UsageError, match="node_id of a moteus = 127"):
+        MoteusHwMotor(bus, 127)
 
 
 def heard_commands(rig, seconds):
