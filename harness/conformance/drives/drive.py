@@ -17,6 +17,7 @@ from motorhil.harness.conformance.drives.client import Client, Frame
 from motorhil.harness.conformance.drives.objects import Entry, Mode, State, state_of
 from motorhil.harness.conformance.drives.units import Units, units_of
 
+_NO_EMCY: Final = "the error is not noticed, or EMCY is off (1014h bit 31) or has another COB-ID"
 BOOT_S: Final = 12.0
 """Longest wait for a drive to answer after power-on."""
 STATE_S: Final = 1.5
@@ -109,7 +110,10 @@ class Drive:
             except SdoAbortedError:
                 return
         raise self.violated(
-            f"node {self.node_id}", f"an SDO answer within {BOOT_S:g} s", "none", "wrong node-ID"
+            f"node {self.node_id}",
+            f"an SDO answer within {BOOT_S:g} s",
+            "none",
+            "the node has not started, or has another node-ID",
         )
 
     def read(self, entry: Entry) -> int:
@@ -531,7 +535,7 @@ class Drive:
         if frame is None:
             seen = [one.data.hex(" ") for one in self.emergencies(since_ns)] or ["none"]
             expected = f"EMCY {code:04X}h on {0x80 + self.node_id:03X}h within {within_s:g} s"
-            raise self.violated(what, expected, ", ".join(seen), "no EMCY, or another COB-ID")
+            raise self.violated(what, expected, ", ".join(seen), _NO_EMCY)
         return frame
 
 

@@ -587,7 +587,8 @@ def interpolation_buffer(bench: DriveBench) -> None:
         seen = [bool(code) for code in codes]
         wanted = [False] * 4 + [not is_ring]
         what = f"5 records in a buffer of 4, 60C4h:3 = {is_ring}"
-        drive.expect(seen == wanted, what, f"refused: {wanted}", f"{seen}", "60C4h:2 is ignored")
+        cause = "60C4h:2 or 60C4h:3 is ignored, or the records are used before bit 4 is set"
+        drive.expect(seen == wanted, what, f"refused: {wanted}", f"{seen}", cause)
         count = drive.find(od.IP_POSITION)
         drive.expect(count in (4, None), what, f"{od.IP_POSITION} = 4", f"{count}")
         drive.command(od.ENABLE | _ENABLE_IP)
