@@ -3,12 +3,16 @@
 `tests.support.motors.kinds` lists the guarantees of each kind.
 """
 
+import gc
 from pathlib import Path
 
 import pytest
 
 from motorhil.motorapi import ControlMode, MotionInterrupted, TrapezoidalTrajectory
+from motorhil.motorapi.adaptations.canopen.bus import CanopenBus
+from motorhil.motorapi.api.line_exchanges import ExchangeLine
 from motorhil.motorapi.outcome import Ending
+from tests.support import kit_benches
 from tests.support.motors.kinds import KINDS, opened, true_position
 
 DURATION_S = 1.0
@@ -91,3 +95,19 @@ def test_progress_runs_from_zero_to_none(rig, kind, moving):
         assert progress.elapsed_s + progress.remaining_s == pytest.approx(
             max(progress.elapsed_s, DURATION_S)
         )
+
+
+@pytest.mark.parametrize("name", kit_benches.KINDS)
+def test_last_motor_that_is_closed_leaves_its_bus(name):
+    with kit_benches.opener(name)() as bench:
+        for motor in bench.motors:
+            motor.position()
+        things = gc.get_objects()
+        lines = [one for one in things if isinstance(one, ExchangeLine)]
+        buses = [one for one in things if isinstance(one, CanopenBus)]
+        used = [one for one in lines if one.runtime is bench.runtime]
+        used += [one for one in buses if one.link.runtime is bench.runtime]
+        assert all(one.users for one in used)
+        for motor in bench.motors:
+            motor.close()
+        assert [one.users for one in used] == [0] * len(used)

@@ -55,6 +55,20 @@ def test_expedited_download_without_size_uses_object_length():
     assert bench.od.integer(0x1017, 0, 0) == 4000
 
 
+def test_expedited_download_without_size_to_a_string_is_of_four_bytes():
+    bench = Bench().boot()
+    bench.od.get(0x1008, 0).access = "rw"
+    transcript(
+        bench,
+        """
+        > 22 08 10 00 54 69 6E 79
+        < 60 08 10 00 00 00 00 00
+        > 40 08 10 00 00 00 00 00
+        < 43 08 10 00 54 69 6E 79
+        """,
+    )
+
+
 def test_segmented_upload():  # canopen
     transcript(
         Bench().boot(),
