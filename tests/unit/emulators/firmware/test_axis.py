@@ -282,6 +282,25 @@ def test_following_error_equal_to_window_is_inside():
         assert bool(axis.flags & FOLLOWING_ERROR) is told
 
 
+def test_new_command_does_not_restart_the_time_of_a_following_error():
+    axis = powered_axis()
+    axis.set_current_limit(0.0)  # the motor stays where it is
+    axis.set_windows(following_window_inc=20, following_window_ns=10 * MS)
+    axis.follow(500, 0)
+    first = tick_by_tick(axis, 50, FOLLOWING_ERROR, True)
+    again = powered_axis()
+    again.set_current_limit(0.0)
+    again.set_windows(following_window_inc=20, following_window_ns=10 * MS)
+    again.follow(500, 0)
+    for k in range(51, first - 2):
+        again.at(k * MS)
+        if k % 2:
+            again.move_to(500 + k, 1e6, 1e9, 1e9)
+        else:
+            again.follow(500 + k, 0)
+    assert tick_by_tick(again, first - 3, FOLLOWING_ERROR, True) == first
+
+
 def test_speed_zero_flag_waits_to_set_and_clears_at_once():
     axis = powered_axis()
     axis.set_windows(velocity_threshold_inc_s=1_000.0, velocity_threshold_ns=20 * MS)

@@ -93,6 +93,17 @@ def test_limits_that_need_a_profile_are_refused(
     assert rig.runtime.now_ns() == 0
 
 
+def test_velocity_is_reached_within_half_an_increment_a_cycle(open_rig: OpenRig):
+    slow = 0.3
+    assert 0.02 * slow * INC_PER_RAD < 0.5 / 0.001  # less than the counts can tell
+    rig = open_rig(one(velocity=slow))
+    left = enabled(rig)
+    commanded(left, ControlMode.SETPOINT, ControlVariable.VELOCITY, 0.5 * slow)
+    left.wait_until_done(1)
+    rig.runtime.run_for(0.1)
+    assert left.velocity() == pytest.approx(0.5 * slow, abs=0.5 / 0.001 / INC_PER_RAD)
+
+
 def test_velocity_set_point_steps_and_is_kept(open_rig: OpenRig):
     rig = open_rig(one())
     left = enabled(rig)
