@@ -295,6 +295,12 @@ def test_host_id_that_is_not_free_is_refused(node, motor):
         rig.motors["left"].position()
 
 
+def test_controller_0_is_a_controller():
+    with opened(node=0) as rig:
+        rig.motors["left"].position()  # connects
+        assert rig.motors["left"].state() is MotorState.DISABLED
+
+
 def test_motor_without_poles_is_refused():
     message = "pole_pairs: 0 is out of range; allowed: 1 to 1000"
     with opened(motor="pole_pairs = 0") as rig, pytest.raises(RigError, match=message):
