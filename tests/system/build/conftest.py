@@ -1,4 +1,4 @@
-"""What all tests of builds need."""
+"""Fixtures of all tests of builds."""
 
 from collections.abc import Generator
 
