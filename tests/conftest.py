@@ -15,9 +15,10 @@ from motorhil import emulators
 from motorhil.__main__ import ALLOCATIONS
 from motorhil.compiled import PURE, is_current
 from motorhil.harness.version import cores_are_compiled
-from tests.support.checkout import CHECKOUT
+from tests.support.checkout import CHECKOUT, CORES
 from tests.support.cores import choose, leave_out
 from tests.support.dissector import collect_sent, complaints, tshark
+from tests.support.forking.client import forking
 
 # Examples must not depend on which modules other tests of the same process have imported.
 providers._get_local_constants = Constants
@@ -166,9 +167,22 @@ def own_locks(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cores() -> None:
-    """Run the command of this checkout on what was compiled from its sources, or on the sources."""
+def own_cores(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Run the programs of tests on the cores of this process.
+
+    Python would look in the current folder first, where the sources are. The command of this
+    checkout takes what was compiled from its sources, if that is current.
+    """
     os.environ[PURE] = "0" if is_current(CHECKOUT) else "1"
+    os.environ["PYTHONPATH"] = os.pathsep.join(map(str, (CORES, CHECKOUT)))
+    os.chdir(tmp_path_factory.mktemp("current"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_programs(own_cores: None, own_locks: None, own_width: None) -> Generator[None]:
+    """Start the Python programs of tests by fork, after what their environment depends on."""
+    with forking():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

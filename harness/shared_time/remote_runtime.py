@@ -72,7 +72,8 @@ class RemoteLink:
             self._send(message)
         except OSError:
             self.is_open = False
-            raise UsageError(GONE) from None
+        if not self.is_open:
+            raise UsageError(GONE)
 
     def receive(self) -> bytes:
         """Return the next record; raise UsageError if the rig has ended."""

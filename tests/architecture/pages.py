@@ -189,7 +189,7 @@ def environment(folder):
     return {
         **kept,
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": os.pathsep.join(filter(None, [str(folder / "site"), kept.get("PYTHONPATH")])),
+        "PYTHONPATH": str(folder / "site"),
         "INSTALLED": str(folder / "site"),
         "PYTHONUNBUFFERED": "1",
         PURE: os.environ.get(PURE, "1"),  # as the other tests (tests/conftest.py)

@@ -12,6 +12,7 @@ from enum import Enum
 from importlib import import_module
 
 from tests.support.checkout import CHECKOUT, PACKAGES
+from tests.support.cores import COMPILED_ALONE, compiled_modules, meets_sources
 
 EAGER = re.compile(r"@dataclass\((?!.*init=False).*frozen=True")
 INTERPRETED = {
@@ -169,6 +170,18 @@ def test_folders_listed_as_interpreted_have_no_compiled_module(monkeypatch):
     assert folders.isdisjoint(FOLDERS)
 
 
+def test_tests_of_each_folder_with_compiled_modules_meet_the_sources(monkeypatch):
+    names = compiled(monkeypatch)
+    assert compiled_modules() == names
+    left_out = []
+    for folder in {name.rpartition("/")[0] for name in names}:
+        tests = sorted((CHECKOUT / "tests" / "unit" / folder).glob("test_*.py"))
+        assert tests, f"tests/unit/{folder}: modules of {folder} are compiled"
+        if not any(map(meets_sources, tests)):
+            left_out.append(f"unit/{folder}")
+    assert {*left_out} <= {*COMPILED_ALONE}
+
+
 def interpreted_bases(names):
     """Yield the compiled classes whose interpreted base keeps fields: a compiled class overlays
     them with its own. Enumerations are not compiled, and mypyc knows exceptions.
@@ -191,6 +204,17 @@ def interpreted_bases(names):
 
 def test_compiled_class_has_no_interpreted_base_with_fields(monkeypatch):
     assert list(interpreted_bases(compiled(monkeypatch))) == []
+
+
+def test_compiled_modules_hide_no_error_by_from_none(monkeypatch):
+    """Mypyc prints it nevertheless, as if the handler had failed."""
+    hiding = [
+        f"{name}:{node.lineno}"
+        for name in sorted(compiled(monkeypatch))
+        for node in ast.walk(ast.parse((CHECKOUT / name).read_text()))
+        if isinstance(node, ast.Raise) and isinstance(node.cause, ast.Constant)
+    ]
+    assert hiding == []
 
 
 def test_compiled_modules_have_no_class_that_mypyc_leaves_interpreted(monkeypatch):

@@ -14,7 +14,7 @@ import threading
 import weakref
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,8 +30,8 @@ from motorhil.harness.shared_time import programs
 from motorhil.traces.digest import digest
 from motorhil.traces.mcap.reader import read_trace
 from tests.attack.campaign import Attack, Attempt, Done
+from tests.support.forking.client import executing, forking
 from tests.support.programs.scripted import program as scripted
-from tests.support.programs.scripted.fork_server import ForkServer
 from tests.support.programs.scripted.parties import Parties
 
 STEPS_MAX: Final = 9
@@ -67,7 +67,6 @@ _LEFT: Final = "has left the rig: its connection has ended"
 _POPEN: Final = subprocess.Popen
 
 Step = list[Any]
-Start = Callable[..., object]
 Disturb = Callable[[list[Any]], None]
 
 
@@ -231,24 +230,22 @@ class Starter:
     """Start of the programs of a run, in the place of subprocess.Popen.
 
     Args:
-        begin: starts one.
         count: how many there will be.
         disturb: called with the processes once the last one is started.
         is_late: True if the first one joins last.
     """
 
-    def __init__(self, begin: Start, count: int, disturb: Disturb, is_late: bool) -> None:
+    def __init__(self, count: int, disturb: Disturb, is_late: bool) -> None:
         self.processes: list[Any] = []
         self.has_hung: bool = False
         self._is_late = is_late
-        self._begin = begin
         self._count = count
         self._disturb = disturb
         self._timer = threading.Timer(PATIENCE_S, self._end)
 
     def __call__(self, *words: Any, **facts: Any) -> object:
         """Start a program."""
-        process: Any = self._begin(*words, **facts)
+        process: Any = _POPEN(*words, **facts)
         self.processes.append(process)
         if self._is_late and len(self.processes) == 1:
             os.kill(process.pid, signal.SIGSTOP)
@@ -274,16 +271,13 @@ class Starter:
                 raise AssertionError(f"a process of program {number} remains")
 
 
-def as_processes(
-    pair: Pair, folder: Path, name: str, begin: Start, disturb: Disturb = lambda _: None
-) -> Run:
+def as_processes(pair: Pair, folder: Path, name: str, disturb: Disturb = lambda _: None) -> Run:
     """Run the programs in processes.
 
     Args:
         pair: the programs.
         folder: of the rig and the record.
         name: of the record.
-        begin: starts a program, as subprocess.Popen does.
         disturb: called as soon as all programs are started.
 
     Raises:
@@ -301,7 +295,7 @@ def as_processes(
     for pid in folder.glob(f"{scripted.PIDS}*"):
         pid.unlink()
     run = Run(folder / f"{name}.mcap")
-    starter = Starter(begin, len(pair.plans), disturb, pair.is_late)
+    starter = Starter(len(pair.plans), disturb, pair.is_late)
     with TemporaryDirectory(dir=folder) as temporary, patch.object(tempfile, "tempdir", temporary):
         try:
             with (
@@ -391,42 +385,43 @@ class Pairs:
 
     def __init__(self, seed: int) -> None:
         self._seed: Final = seed
-        self._server: Final = ForkServer()
+        stack = ExitStack()
+        stack.enter_context(forking())
         self._keep: Final = TemporaryDirectory(prefix="motorhil-attack-")
-        weakref.finalize(self, self._close, self._server, self._keep)
-
-    @staticmethod
-    def _close(server: ForkServer, keep: TemporaryDirectory[str]) -> None:
-        server.close()
-        keep.cleanup()
+        stack.callback(self._keep.cleanup)
+        weakref.finalize(self, stack.close)
 
     def attempt(self, number: int) -> Done:
         """Run a pair in every way, and judge."""
         seed = f"{self._seed}:{number}"
-        pair, dice = pair_of(seed), Random(f"{seed}:fate")
-        folder = Path(self._keep.name)
+        dice = Random(f"{seed}:fate")
         is_executed = dice.random() < EXECUTED
-        begin = _POPEN if is_executed else self._server.start
+        with executing() if is_executed else nullcontext():
+            done = self._attempt(pair_of(seed), dice)
+        done.reached["executed" if is_executed else "forked"] += 1
+        return done
+
+    def _attempt(self, pair: Pair, dice: Random) -> Done:
+        folder = Path(self._keep.name)
         reached = Counter[str]()
-        run = as_processes(pair, folder, "run", begin)
+        run = as_processes(pair, folder, "run")
         if pair.is_shared:
-            again = as_processes(pair, folder, "again", begin)
+            again = as_processes(pair, folder, "again")
             _require_equal("lines", again.lines, run.lines)
             assert digest(again.record) == digest(run.record), "another digest"
             reached["a motor shared"] += 1
         else:
             require_model(pair, run, as_parties(pair, folder))
-        reached["executed" if is_executed else "forked"] += 1
         reached["messages"] += len(run.messages)
         reached.update(f"step {line.split()[2]}" for line in run.steps)
         if pair.dying:
             reached[f"died by {pair.plans[pair.dying]['how']}"] += 1
         if dice.random() < KILLED:
-            reached[self._kill(pair, folder, begin, dice)] += 1
+            reached[self._kill(pair, folder, dice)] += 1
         return Done(1, digest(run.record).encode(), reached)
 
     @staticmethod
-    def _kill(pair: Pair, folder: Path, begin: Start, dice: Random) -> str:
+    def _kill(pair: Pair, folder: Path, dice: Random) -> str:
         pair = _without_death(pair)
         victim = dice.choice(("one", "two"))
         number = dice.choice((signal.SIGKILL, signal.SIGTERM))
@@ -444,7 +439,7 @@ class Pairs:
             threading.Timer(after_s, kill).start()
 
         try:
-            run = as_processes(pair, folder, "killed", begin, disturb)
+            run = as_processes(pair, folder, "killed", disturb)
         except RigError as error:
             if f"program {victim}: ended before it joined" not in str(error):
                 raise

@@ -37,7 +37,7 @@ def conform(*words, seed):
     """Run the command in another process with this hash seed."""
     return subprocess.run(
         [sys.executable, "-m", "motorhil", "conform", *words],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": str(seed)},
+        env={**os.environ, "PYTHONHASHSEED": str(seed)},
         capture_output=True,
         text=True,
         timeout=200,

@@ -1,7 +1,8 @@
 """A third-party package with motorhil's wheel, in its own environment.
 
 The checkout is not on the path there. Everything that the package uses must be in the wheel, and be
-found by entry points. The dependencies are those of this environment.
+found by entry points. The dependencies are those of this environment. The wheel is that of the
+cores of this process.
 """
 
 import os
@@ -14,6 +15,8 @@ from pathlib import Path
 import can
 import pytest
 
+from motorhil.compiled import is_current
+from motorhil.harness.version import cores_are_compiled
 from tests.support.checkout import CHECKOUT
 from tests.support.outsider_source import OUTSIDER
 
@@ -40,19 +43,28 @@ def run(*command, **more):
     return done.stdout
 
 
+def sources_in(folder):
+    """Copy what a wheel is built from into this new folder, and return it."""
+    shutil.copytree(CHECKOUT / "motorhil", folder / "motorhil", ignore=IGNORED)
+    for name in OTHERS:
+        shutil.copy(CHECKOUT / name, folder / name)
+    return folder
+
+
 @pytest.fixture(scope="module")
 def venv(tmp_path_factory):
     """An environment with both wheels and the dependencies installed here."""
     folder = tmp_path_factory.mktemp("outsider")
-    sources = folder / "motorhil"
-    shutil.copytree(CHECKOUT / "motorhil", sources / "motorhil", ignore=IGNORED)
-    for name in OTHERS:
-        shutil.copy(CHECKOUT / name, sources / name)
     shutil.copytree(OUTSIDER, folder / "outsider", ignore=IGNORED)
+    wanted = [folder / "outsider"]
+    if cores_are_compiled() and is_current(CHECKOUT):
+        wanted.extend((CHECKOUT / "build" / "compiled" / "wheel").glob("*.whl"))
+    else:
+        wanted.append(sources_in(folder / "motorhil"))
     pip = (sys.executable, "-m", "pip")
     run(
         *(*pip, "wheel", *OFFLINE, "--no-build-isolation", "--wheel-dir", folder / "wheels"),
-        *(sources, folder / "outsider"),
+        *wanted,
     )
     wheels = sorted((folder / "wheels").glob("*.whl"))
     assert [wheel.name.split("-")[0] for wheel in wheels] == ["motorhil", "motorhil_odrive"]

@@ -3,7 +3,11 @@
 import os
 from pathlib import Path
 
+import motorhil
+
 CHECKOUT = Path(os.environ.get("MOTORHIL_CHECKOUT", Path(__file__).parents[2]))
+CORES = Path(motorhil.__file__).absolute().parents[1]
+"""The folder with the package motorhil that this process has imported."""
 PACKAGES = ("motorapi", "emulators", "traces", "harness")
 
 

@@ -7,11 +7,13 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+from tests.support.checkout import CHECKOUT, CORES
+
 
 def environment():
     """Return an environment in which another process finds bench.py and its plugins."""
-    folders = [str(Path.cwd().parent / "site"), str(Path(__file__).parents[2])]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(folders)}
+    folders = (Path.cwd().parent / "site", CORES, CHECKOUT)
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
 
 
 def in_another_process(*words, **options):

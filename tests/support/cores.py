@@ -3,10 +3,15 @@
 `make test` compiles the cores and runs the tests on them, because they are what ships. A second run
 tests the sources: `--cores pure`. Without a compiler the sources meet all tests. The mark `pure`
 names a test that only pure cores can pass, with the reason.
+
+Tests of a folder of the packages meet the sources if setup.py compiles modules of this folder. All
+other modules are the same in both runs.
 """
 
+import ast
 from collections.abc import Iterable
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -16,18 +21,20 @@ from motorhil.harness.version import cores_are_compiled
 from tests.support.checkout import CHECKOUT
 
 OF_THE_SOURCES: Final = ("architecture", "conformance/mutants", "system/build")
-# The rooms of compiled modules, and tests through all of them.
+# Tests through all compiled modules.
 BOTH: Final = (
-    *("unit/emulators", "unit/motorapi/adaptations", "unit/motorapi/runtime", "properties"),
-    *("unit/harness/recording", "unit/harness/rig", "unit/harness/virtual_time", "unit/traces"),
-    *("conformance/test_kinds.py", "conformance/test_kinds_endings.py"),
+    *("properties", "conformance/test_kinds.py", "conformance/test_kinds_endings.py"),
     *("conformance/test_kinds_shared.py", "crosscheck/canopen/test_canopen_client.py"),
     "crosscheck/canopen/test_canopen_base_node_402.py",
 )
 # These call interpreted code, or repeat at length what other tests cover.
 COMPILED_ALONE: Final = (
-    *("unit/motorapi/runtime/test_wall_*.py", "unit/traces/formats", "unit/traces/decoding"),
-    *("unit/traces/exchange", "properties/test_sharing*.py", "properties/test_skew*.py"),
+    *(
+        "unit/motorapi/runtime/test_wall_*.py",
+        "unit/harness/shared_time",
+        "unit/harness/python_can",
+    ),
+    *("properties/test_sharing*.py", "properties/test_skew*.py"),
     *("properties/test_formats*.py", "properties/test_d[ae]*.py", "properties/fuzz/*.py"),
 )
 _MARK: Final = "mark.pure("
@@ -39,11 +46,33 @@ def _is_in(path: Path, places: Iterable[str]) -> bool:
     return any(name == one or fnmatch(name, one) or fnmatch(name, f"{one}/*") for one in places)
 
 
+@cache
+def compiled_modules() -> frozenset[str]:
+    """Return the modules that setup.py compiles, without running it."""
+    named: dict[str, tuple[str, ...]] = {}
+    for node in ast.parse((CHECKOUT / "setup.py").read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
+            (name,) = node.targets
+            named[ast.unparse(name)] = ast.literal_eval(node.value)
+    found = {path for pattern in named["COMPILED"] for path in CHECKOUT.glob(pattern)}
+    names = {path.relative_to(CHECKOUT).as_posix() for path in found if path.name != "__init__.py"}
+    return frozenset(names - {*named["READ_AT_START"], *named["RARE"]})
+
+
+@cache
+def tests_compiled_modules(folder: Path) -> bool:
+    """Return True if the modules that these tests are of, by the name of their folder, compile."""
+    place = folder.relative_to(_TESTS).as_posix().removeprefix("unit/")
+    return any(Path(name).parent.as_posix() == place for name in compiled_modules())
+
+
 def meets_sources(path: Path) -> bool:
     """Return True if all tests of this file run on the pure cores, beside the compiled ones."""
     if _is_in(path, OF_THE_SOURCES):
         return True
-    return _is_in(path, BOTH) and not _is_in(path, COMPILED_ALONE)
+    if _is_in(path, COMPILED_ALONE):
+        return False
+    return _is_in(path, BOTH) or tests_compiled_modules(path.parent)
 
 
 def leave_out(path: Path, cores: str) -> bool:

@@ -14,7 +14,6 @@ CLAUSES = ("UNIT-01", "MEAS-01", "SET-01", "TRAJ-01", "STOP-01", "SHARE-11", "LO
 
 
 def test_kit_accepts_an_fd_drive_of_six_hooks(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
     monkeypatch.chdir(tmp_path)
     words = [word for clause in CLAUSES for word in ("--clause", clause)]
     status = main(["conform", "--rig", str(RIG), "--benches", "own", *words])

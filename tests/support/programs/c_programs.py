@@ -1,8 +1,11 @@
-"""C programs of the tests, compiled on first use."""
+"""C programs of the tests, each compiled once in a process, on first use."""
 
+import atexit
 import os
 import shutil
 import subprocess
+import tempfile
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,6 +20,13 @@ needs_compiler = pytest.mark.skipif(
 
 def compiled(name, folder, *flags):
     """Return the path of a compiled program of tests/support/programs/binaries."""
+    return Path(shutil.copy2(_built(name, flags), folder / name))
+
+
+@cache
+def _built(name, flags):
+    folder = Path(tempfile.mkdtemp(prefix="motorhil-binaries-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     source = next(SOURCES.glob(f"{name}.c*"))
     target = folder / name
     compiler = COMPILER if source.suffix == ".c" else os.environ.get("CXX", "c++")

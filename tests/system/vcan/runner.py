@@ -128,6 +128,12 @@ while :; do $bb sleep 1; done
 """
 
 
+def never_booted() -> Path:
+    """Return the file that tells that a guest has not booted since this machine has."""
+    boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    return cache_folder() / f"never-booted-{boot}"
+
+
 def end_of(guest: "subprocess.Popen[bytes]", booted: Path) -> None:
     """Wait for the end of a guest.
 
@@ -138,6 +144,7 @@ def end_of(guest: "subprocess.Popen[bytes]", booted: Path) -> None:
         guest.wait(BOOT_S)
     except subprocess.TimeoutExpired:
         if not booted.is_file():
+            never_booted().touch()
             raise NoWayError(
                 f"the User Mode Linux guest has not booted within {BOOT_S} s"
             ) from None
@@ -149,6 +156,10 @@ def end_of(guest: "subprocess.Popen[bytes]", booted: Path) -> None:
 
 def run_in_guest(command: list[str], count: int, memory_mib: int) -> int:
     """Return the command's exit status from a User Mode Linux guest on this machine's files."""
+    if never_booted().is_file():
+        raise NoWayError(
+            f"no User Mode Linux guest has booted since this machine has ({never_booted()})"
+        )
     uml = unpacked("user-mode-linux")
     busybox = unpacked("busybox-static") / "bin" / "busybox"
     kernel = uml / "usr" / "bin" / "linux.uml"

@@ -74,7 +74,7 @@ def test_live_bus_is_watched_while_it_is_recorded(wheels):
             hub = {"CAN_INTERFACE": "emulated", "CAN_CHANNEL": "./hub"}
             drive = subprocess.Popen(
                 [sys.executable, "wheels/drive.py"],
-                env={**os.environ, "PYTHONPATH": ROOT, **hub},
+                env={**os.environ, **hub},
                 stdout=subprocess.DEVNULL,
             )
             with Events(watched.port, token=watched.token) as events:

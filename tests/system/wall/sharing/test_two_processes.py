@@ -18,6 +18,7 @@ from motorhil.motorapi.locking.lock_status import read_process
 from motorhil.traces.mcap.reader import read_trace
 from motorhil.traces.schema import LockAction
 from motorhil.traces.semantics.ownership import Ended, read_ownership
+from tests.support.forking.client import executing
 from tests.support.line_programs import LONG_S
 
 pytestmark = pytest.mark.wall
@@ -32,14 +33,15 @@ class Demo:
         self.temporary = folder / "tmp"
         self.temporary.mkdir()
         self.record = folder / "out" / "demo.mcap"
-        self.process = subprocess.Popen(
-            [*DEMO, "-o", str(self.record)],
-            env={**os.environ, "TMPDIR": str(self.temporary)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            **options,
-        )
+        with executing():  # the environment of a forked process does not show in /proc
+            self.process = subprocess.Popen(
+                [*DEMO, "-o", str(self.record)],
+                env={**os.environ, "TMPDIR": str(self.temporary)},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                **options,
+            )
         self.told = []
 
     def hear(self, text):

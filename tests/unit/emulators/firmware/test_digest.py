@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 from tests.support.motion.scenario import digest
 
@@ -13,7 +12,6 @@ def test_digest_other_hash_seeds_is_equal():
     for seed in ("1", "2"):
         result = subprocess.run(
             [sys.executable, "-m", "tests.support.motion.scenario"],
-            cwd=Path(__file__).parents[4],
             env={**os.environ, "PYTHONHASHSEED": seed},
             capture_output=True,
             text=True,

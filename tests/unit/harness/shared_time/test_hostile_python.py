@@ -1,12 +1,9 @@
 """Hostile Python programs are told by name, and another program goes on beside them."""
 
-import subprocess
-
 import pytest
 
 from motorhil.harness.rig.rig import Rig
 from motorhil.harness.shared_time.programs import run_programs
-from tests.support.programs.scripted.fork_server import ForkServer
 
 pytestmark = pytest.mark.wall
 
@@ -52,17 +49,9 @@ KEPT = f"program bad: has kept the turn for {STALL_S} s of wall time"
 LEFT = "program bad: has left the rig: its connection has ended"
 
 
-@pytest.fixture(scope="module")
-def server():
-    server = ForkServer()
-    yield server
-    server.close()
-
-
 @pytest.fixture
-def run(tmp_path, monkeypatch, server):
+def run(tmp_path):
     """Return a function that runs a hostile program, and returns its output and its failure."""
-    monkeypatch.setattr(subprocess, "Popen", server.start)
 
     def run(bad, good=GOOD, stall_s=10.0):
         (tmp_path / "rig.toml").write_text(f"{RIG}{stall_s}\n")

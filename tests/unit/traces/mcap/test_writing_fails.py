@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -162,7 +161,6 @@ def test_invalid_place_is_refused_by_name(tmp_path, place):
     assert caught.value.path == path
 
 
-ROOT = Path(__file__).parents[4]
 CHILD = """
 import resource, sys
 from tests.support.recordings.written import Recording
@@ -185,7 +183,7 @@ except TraceError as error:
 def test_file_size_limit_is_reported_and_keeps_messages(tmp_path):
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-c", CHILD, path, "60000"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     *times, error = done.stdout.splitlines()
     assert error.startswith(
         f"{path}: cannot be written: file too large; the recording holds up to "
@@ -201,7 +199,7 @@ def test_file_size_limit_is_reported_and_keeps_messages(tmp_path):
 def test_killed_program_leaves_file_up_to_last_second(tmp_path):
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-c", CHILD, path, "0"]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         recorded_ns = 0
         while recorded_ns < 20 * SECOND:
