@@ -55,8 +55,9 @@ def run_compiled(clone: Path) -> None:
 
     Return if there are none, or if `MOTORHIL_PURE` is 1. Say so if the sources have changed since.
     """
-    if os.environ.get(PURE) == "1" or not (clone / _BUILD).is_dir():
-        return
+    build = clone / _BUILD
+    if os.environ.get(PURE) == "1" or not build.is_dir() or Path(sys.prefix) == build:
+        return  # PYTHONPATH can lead from the compiled cores to the sources
     if is_current(clone):
         python = _python(clone)
         os.execv(python, [str(python), *sys.orig_argv[1:]])

@@ -56,6 +56,7 @@ class Clone:
             capture_output=True,
             text=True,
             check=True,
+            timeout=60.0,
         )
         return done.stdout.strip(), done.stderr.strip()
 
@@ -97,6 +98,16 @@ def test_command_with_half_a_build_is_pure(clone, damage):
     printed, said = clone.run("--version")
     assert PURE in printed
     assert "make compiled" in said
+
+
+def test_command_on_the_python_of_the_build_starts_no_other(clone):
+    clone.compile()
+    python = clone.build / "bin" / "python"
+    python.unlink()
+    python.symlink_to(Path(sys.executable).resolve())
+    (clone.build / "pyvenv.cfg").write_text(f"home = {sys.base_prefix}/bin\n")
+    printed, _ = clone.run("--version", PYTHONPATH=os.pathsep.join(sys.path))  # once, not forever
+    assert PURE in printed
 
 
 def test_pure_cores_can_be_selected(clone):
