@@ -7,7 +7,6 @@ input, whichever comes first. Late events run in the order of their due times.
 import select
 import time
 from collections.abc import Callable, Sequence
-from operator import is_
 from typing import Protocol, final
 
 from motorhil.emulators.simulation.event_queue import EventQueue
@@ -61,6 +60,7 @@ class WallLoop:
     def add(self, gateway: Gateway) -> None:
         """Add a gateway."""
         self._gateways.append(gateway)
+        self._last.append(())
 
     def wake_on(self, descriptor: int) -> None:
         """Wake also when this descriptor (a process's pidfd, for example) becomes readable."""
@@ -94,27 +94,30 @@ class WallLoop:
         if due_ns is not None:
             elapsed_ns = time.monotonic_ns() - self._start_ns
             wait_s = min(longest_s, max(0, due_ns - elapsed_ns) / 1e9)
-        self._watch()
-        for one in self._gateways:
-            if one.backlogged():
-                wait_s = min(wait_s, _BACKLOGGED_S)
+        if self._look_at_gateways():
+            wait_s = min(wait_s, _BACKLOGGED_S)
         for descriptor in select.select(self._descriptors, (), (), wait_s)[0]:
             heard = self._watched.get(descriptor)
             if heard is not None:
                 queue.run_until(time.monotonic_ns() - self._start_ns)
                 heard[0].readable(heard[1])
 
-    def _watch(self) -> None:
-        now = [gateway.sources() for gateway in self._gateways]
-        if len(now) == len(self._last) and all(map(is_, now, self._last)):
-            return
-        self._last = now
-        self._watched = {
-            source.fileno(): (gateway, source)
-            for gateway, sources in zip(self._gateways, now, strict=True)
-            for source in sources
-        }
-        self._descriptors = [*self._woken_by, *self._watched]
+    def _look_at_gateways(self) -> bool:
+        """Watch the present sources. Return whether output of a gateway waits for a reader."""
+        is_backlogged, is_new = False, False
+        for place, gateway in enumerate(self._gateways):
+            sources = gateway.sources()
+            if sources is not self._last[place]:
+                self._last[place], is_new = sources, True
+            is_backlogged = gateway.backlogged() or is_backlogged
+        if is_new:
+            self._watched = {
+                source.fileno(): (gateway, source)
+                for gateway, sources in zip(self._gateways, self._last, strict=True)
+                for source in sources
+            }
+            self._descriptors = [*self._woken_by, *self._watched]
+        return is_backlogged
 
     def close(self) -> None:
         """Close all gateways."""

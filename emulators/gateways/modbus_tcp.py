@@ -50,7 +50,10 @@ class _Connection:
         if not data:
             self._ends = True
         elif not self._waiting:
-            data = data[self._send(data) :]
+            taken = self._send(data)
+            if taken == len(data) and not self.is_over:
+                return
+            data = data[taken:]
         self._waiting += data
         if self._waiting or self._ends or self.is_over:
             self.flush()

@@ -259,8 +259,8 @@ class ModbusDrive:
             return
         self._at(now_ns)
         if data:
-            self.rtu.receive(data, now_ns)
-            self.settle()  # a broadcast acts at once
+            if self.rtu.receive(data, now_ns):
+                self.settle()
         else:
             self.rtu.spoiled()
 

@@ -94,6 +94,7 @@ class _Cell:
         self.high = highest if row.high is None else row.high
         self.sign = 1 << (bits - 1) if signed else 0
         self.span = 1 << bits
+        self.mask = self.span - 1
         self.default = row.default
         self.value = row.default
         self.reader: Reader | None = None
@@ -103,11 +104,6 @@ class _Cell:
                 f"register {row.name}: default {row.default}, limits {self.low} to {self.high}:"
                 f" {row.kind.value} holds {lowest} to {highest}"
             )
-
-    def raw(self) -> int:
-        """Return its current bits, without sign."""
-        value = self.value if self.reader is None else self.reader()
-        return value & (self.span - 1)
 
     def signed(self, raw: int) -> int:
         """Return the number that these bits represent."""
@@ -231,7 +227,7 @@ class RegisterBank:
         end = address + count
         while address < end:
             cell = cells[address]
-            raw = cell.raw()
+            raw = (cell.value if cell.reader is None else cell.reader()) & cell.mask
             if not cell.is_wide:
                 out += raw.to_bytes(2, "big")
                 address += 1
@@ -262,7 +258,7 @@ class RegisterBank:
             else:
                 first = address - cell.address
                 words = min(2 - first, (len(data) - at) // 2)
-                both = (cell.value & (cell.span - 1)).to_bytes(4, "big")
+                both = (cell.value & cell.mask).to_bytes(4, "big")
                 part = data[at : at + 2 * words]
                 both = both[: 2 * first] + part + both[2 * (first + words) :]
                 raw = int.from_bytes(both, "big")

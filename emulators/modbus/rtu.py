@@ -96,23 +96,29 @@ class RtuUnit:
         self._due_ns: int | None = None
         self._output: list[bytes] = []
 
-    def receive(self, frame: bytes, now_ns: int) -> None:
-        """Process a frame on the line: the bytes between two silences, with their CRC."""
+    def receive(self, frame: bytes, now_ns: int) -> bool:
+        """Process a frame on the line: the bytes between two silences, with their CRC.
+
+        Returns:
+            True if it was a broadcast, which acts at once.
+        """
         diagnostics = self.server.diagnostics
         if not _SHORTEST <= len(frame) <= _LONGEST or crc16(frame[:-2]) != frame[-2:]:
             if diagnostics is not None:
                 diagnostics.bus_errors += 1
-            return
+            return False
         if diagnostics is not None:
             diagnostics.bus_messages += 1
         if frame[0] == BROADCAST:
             self.server.broadcast(frame[1:-2])
-        elif frame[0] == self.unit:
+            return True
+        if frame[0] == self.unit:
             if self._due_ns is not None:
                 self.ignored += 1
-                return
-            self._request = frame[1:-2]
-            self._due_ns = now_ns + self._reply_ns
+            else:
+                self._request = frame[1:-2]
+                self._due_ns = now_ns + self._reply_ns
+        return False
 
     def spoiled(self) -> None:
         """Count invalid characters on the line, after a pause in a frame or a collision."""

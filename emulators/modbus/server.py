@@ -12,6 +12,7 @@ Source: MODBUS Application Protocol Specification V1.1b3, section 6 and its stat
 (diagnostics); 6.13, 6.19 and 6.21 (identification).
 """
 
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, final
@@ -55,6 +56,7 @@ _REGULAR_END: Final = 0x80
 _STREAMS: Final = {1: _BASIC_END, 2: _REGULAR_END, 3: 0x100}
 _INDIVIDUAL: Final = 4
 _HEAD: Final = 7
+_RANGE: Final = struct.Struct(">BHH")  # function, address, quantity
 
 
 @final
@@ -425,13 +427,14 @@ def _read_bits(bank: BitBank, request: bytes) -> bytes:
 
 
 def _read_registers(bank: RegisterBank, request: bytes) -> bytes:
-    count = int.from_bytes(request[3:5], "big")
-    if len(request) != 5 or not 1 <= count <= codes.READ_REGISTERS_MAX:
+    if len(request) != _RANGE.size:
         return _refused(request, ILLEGAL_DATA_VALUE)
-    address = int.from_bytes(request[1:3], "big")
+    function, address, count = _RANGE.unpack(request)
+    if not 1 <= count <= codes.READ_REGISTERS_MAX:
+        return _refused(request, ILLEGAL_DATA_VALUE)
     if not bank.can_read(address, count):
         return _refused(request, ILLEGAL_DATA_ADDRESS)
-    return bytes((request[0], 2 * count)) + bank.read(address, count)
+    return bytes((function, 2 * count)) + bank.read(address, count)
 
 
 def _refused(request: bytes, code: int) -> bytes:

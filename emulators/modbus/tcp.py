@@ -13,6 +13,7 @@ dropped. A single controller also accepts FFh and 0. TCP has no broadcast.
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3.1.3, 4.4.1 and 4.4.2.
 """
 
+import struct
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +27,8 @@ from motorhil.emulators.modbus.codes import (
 )
 
 GATEWAY_TIMEOUT_NS: Final = 1_000_000_000
-_HEAD: Final = 7
+_MBAP: Final = struct.Struct(">HHHB")  # transaction, protocol, length, unit identifier
+_HEAD: Final = _MBAP.size
 _WAITING_MAX: Final = 64  # requests to one unit
 _NOT_SIGNIFICANT: Final = (0x00, 0xFF)
 
@@ -36,15 +38,7 @@ Request = tuple[int, int, bytes]
 
 def adu(transaction: int, unit: int, pdu: bytes) -> bytes:
     """Return the PDU behind its MBAP header."""
-    return b"".join(
-        (
-            transaction.to_bytes(2, "big"),
-            b"\x00\x00",
-            (len(pdu) + 1).to_bytes(2, "big"),
-            bytes((unit,)),
-            pdu,
-        )
-    )
+    return _MBAP.pack(transaction, 0, len(pdu) + 1, unit) + pdu
 
 
 @final
@@ -67,8 +61,7 @@ class MbapStream:
         buffer += data
         complete: list[Request] = []
         while len(buffer) >= _HEAD:
-            protocol = int.from_bytes(buffer[2:4], "big")
-            length = int.from_bytes(buffer[4:6], "big")
+            transaction, protocol, length, unit = _MBAP.unpack_from(buffer)
             if protocol != 0 or not 2 <= length <= PDU_MAX + 1:
                 what = f"protocol {protocol}, length {length}"
                 self.closed_because = f"no Modbus: {what}; must be 0, and 2 to {PDU_MAX + 1}"
@@ -77,8 +70,7 @@ class MbapStream:
             end = 6 + length
             if len(buffer) < end:
                 break
-            transaction = int.from_bytes(buffer[0:2], "big")
-            complete.append((transaction, buffer[6], bytes(buffer[_HEAD:end])))
+            complete.append((transaction, unit, bytes(buffer[_HEAD:end])))
             del buffer[:end]
         return complete
 

@@ -10,9 +10,9 @@ each other in one process too, so threads need no second lock.
 - A *waiter* has locked one byte, its place, behind all places that existed when it arrived. Its
   turn comes when no place before it is locked. A waiter that dies leaves a gap, which delays no
   other waiter.
-- A process that finds the whole queue empty takes HELD and MARK in one step. A process that has
-  waited keeps its place while it holds the lock. So there is always a byte for which the next one
-  can wait.
+- A process that finds the whole queue empty takes token, HELD and MARK in one step. A process that
+  has waited keeps its place while it holds the lock. So there is always a byte for which the next
+  one can wait.
 
 No step is guarded by another lock. A process paused in the middle of a step delays only those
 behind it.
@@ -20,9 +20,15 @@ behind it.
 No process can unlock the bytes of a living process. Therefore a takeover does not take the byte: it
 advances the *epoch*, and with it the byte that counts (`motorhil.motorapi.locking.takeover`). The
 byte of an earlier epoch has no effect. The epoch check and actions that depend on it are atomic: a
-commanding write requires a shared lock of WRITING, an epoch change an exclusive one. So does an
-acquisition: with WRITING shared, it checks the epoch and locks the byte below HELD, which makes it
-the holder. HELD alone is an attempt, which a takeover under way defeats.
+commanding write requires a shared lock of WRITING, an epoch change an exclusive one. An acquisition
+is an attempt, which a takeover under way defeats:
+
+- In one step, it locks the token after the last one, HELD and MARK. Then it asks for locks of
+  WRITING and of the queue, and reads epoch and last token again. It is the holder if there are no
+  locks, and nothing has changed. A takeover that begins later takes the lock from it. An attempt
+  with a token that was given meanwhile ends there; a takeover leaves it alone.
+- After a wait, it locks HELD. With WRITING shared, it checks the epoch and locks the token, which
+  makes it the holder. HELD alone is an attempt.
 
 A release is announced with the token before it happens. A lock without this announcement was held
 by a process that died.
@@ -87,9 +93,6 @@ _CHECKED_AT: Final = EPOCH_AT - 8
 _CHECKED: Final = struct.Struct("<QQQ")
 _READS_MAX: Final = 100
 """The number of reads before an epoch counts as damaged: a read can meet a write."""
-_HEADER_SIZE: Final = BLOCK - EPOCH_AT
-UNPUBLISHED: Final = 1
-"""The token in the lock of a holder that has not published its own yet."""
 
 RELEASED_AT: Final = 0
 """In the block of a line: the last released token."""
@@ -206,9 +209,8 @@ def pack_record(
     words: bytes,
 ) -> bytes:
     """Pack a record for the file; `process` is (pid, uid, born)."""
-    pid, uid, born = process
-    head = _HEAD.pack(MAGIC, number, identity, pid, uid, born, since[0], since[1])
-    return b"".join((head, words, _CHECK.pack(zlib.crc32(words, zlib.crc32(head)))))
+    told = _HEAD.pack(MAGIC, number, identity, *process, *since) + words
+    return told + _CHECK.pack(zlib.crc32(told))
 
 
 def unpack_record(data: bytes) -> Record | None:
@@ -276,6 +278,7 @@ class Line:
 
 
 _FLOCK: Final = struct.Struct("@hhqqi0q")  # struct flock: type, whence, start, length, pid
+_UNLOCKED: Final = struct.pack("@h", fcntl.F_UNLCK)
 _UNLOCK_ALL: Final = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
 
 
@@ -304,15 +307,13 @@ def first_places(fd: int, start: int, end: int) -> list[int]:
     return [*before, one[0] - PLACES, *behind]
 
 
-_AT_ONCE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line), 2) for line in range(LINES))
 _HOLD: Final = tuple(flock(fcntl.F_WRLCK, held_at(line), 1) for line in range(LINES))
-_DROP: Final = tuple(flock(fcntl.F_UNLCK, held_at(line), 3) for line in range(LINES))
+_DROP: Final = tuple(flock(fcntl.F_UNLCK, SPAN * line, SPAN - 5) for line in range(LINES))
 _WRITE: Final = tuple(flock(fcntl.F_RDLCK, held_at(line) + 2, 1) for line in range(LINES))
 _WRITE_ALONE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) + 2, 1) for line in range(LINES))
 _WRITTEN: Final = tuple(flock(fcntl.F_UNLCK, held_at(line) + 2, 1) for line in range(LINES))
-_NO_EPOCH: Final = bytes(NUMBER.size)  # of a new file
-_CONFIRM: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) - 1, 1) for line in range(LINES))
-_LAST_SIZE: Final = _HEADER_SIZE + _LINE.size
+_BESIDE: Final = tuple(flock(fcntl.F_WRLCK, held_at(line) + 2, 0) for line in range(LINES))
+"""WRITING, the lines behind it, and the queue."""
 
 _forking: Final = threading.Lock()
 """Guard against a fork between the opening of a file and its registration here."""
@@ -372,23 +373,33 @@ class LockFile:
         epoch: as read last; for a holder, the epoch of its lock.
         base: the first valid place of the epoch: earlier ones belong to processes that lost the
             lock.
+        token: the holder's own token, while this file holds the lock without a takeover.
     """
 
     __slots__ = (
         "__weakref__",
         "_epoch_bytes",
         "_fd",
+        "_has_waited",
+        "_held",
         "_last",
+        "_line_at",
+        "_next_token",
+        "_number",
         "_row",
         "_witness",
         "base",
         "epoch",
         "name",
+        "token",
     )
 
     def __init__(self, directory: LockDirectory, name: str) -> None:
         self._fd = -1
+        self._has_waited = False  # recently; others may wait now
         self._last: tuple[int, bytes, bool] | None = None
+        self.token: int = 0
+        self._next_token = 0  # expected, if no other process was the last holder; 0: unknown
         self._witness: Witness | None = None
         self.name: Final = str(directory.path / name)
         with _forking:
@@ -452,6 +463,8 @@ class LockFile:
 
     def _note_epoch(self, epoch: int, base: int) -> None:
         self.epoch, self.base = epoch, base
+        self._number, self._line_at = epoch % LINES, line_block(epoch)
+        self._held = held_at(epoch)
         self._epoch_bytes = NUMBER.pack(epoch)
         self._row = flock(fcntl.F_WRLCK, PLACES + base, 0)
 
@@ -459,14 +472,52 @@ class LockFile:
 
     def take_at_once(self) -> bool:
         """Take the lock if it is free and no process waits. Return True on success."""
-        while _is_locked(fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, self._row)):
+        while self._has_waited and self._is_locked(self._row):
             if not self.look_up():
-                return False
-        return self._take(_AT_ONCE)
+                return False  # without an attempt, which would be in the way of the first waiter
+        self._has_waited = False
+        return self._take_free(self._row)
 
     def take_in_front(self) -> bool:
         """Take the lock if it is free, ahead of all waiters. Return True on success."""
-        return self._take(_AT_ONCE)
+        return self._take_free(None)
+
+    def _take_free(self, queue: bytes | None) -> bool:
+        """Lock token, HELD and MARK. Return True if no process is in the queue."""
+        while True:
+            token = self._next_token
+            if not token:
+                self._read_last()
+                token = self._token_after()
+            if self._try(_FLOCK.pack(fcntl.F_WRLCK, 0, self._held - token, token + 2, 0)):
+                number = self._number
+                is_free = not self._is_locked(_BESIDE[number]) or not (
+                    self._is_locked(_WRITE[number])
+                    or (queue is not None and self._is_locked(queue))
+                )
+                is_current, last = self._read_last(), self._last
+                if is_free and is_current:
+                    if last is None or last[0] == token - 1:
+                        is_mine = last is not None and last[0] == self.token
+                        self._next_token = token + 1 if is_mine else 0
+                        self.token = token
+                        return True
+                    self._next_token = last[0] + 1
+                self._try(_DROP[number])
+                if is_free and is_current:
+                    continue  # another process has had the lock in between
+            if not self.look_up():
+                return False
+
+    def _read_last(self) -> bool:
+        """Read the last holder. Return True if the epoch is still the one that was read last."""
+        begin = self._line_at - EPOCH_AT
+        data = os.pread(self._fd, begin + RECORD_AT + _LINE.size, EPOCH_AT)
+        self._last = last_of(data, begin)
+        return data.startswith(self._epoch_bytes) or not (data or self.epoch)
+
+    def _token_after(self) -> int:
+        return 1 + (first_token() if self._last is None else self._last[0])
 
     def queue_up(self, at_least: int = 1) -> int:
         """Take and return a place in the queue, behind all earlier ones.
@@ -487,7 +538,8 @@ class LockFile:
 
     def take(self, place: int) -> bool:
         """Take the lock if it is the turn of this place. Return True on success."""
-        return self.is_first(place) and self._take(_HOLD)
+        self._has_waited = True
+        return self.is_first(place) and self._take_turn()
 
     def is_first(self, place: int) -> bool:
         """Return True if no process waits before this place."""
@@ -498,25 +550,24 @@ class LockFile:
                 return False
         return True
 
-    def _take(self, which: tuple[bytes, ...]) -> bool:
-        """Lock HELD of the present epoch. Return True on success."""
+    def _take_turn(self) -> bool:
+        """Lock HELD of the present epoch, with a place. Return True on success."""
         while True:
-            number = self.epoch % LINES
-            if self._try(which[number]):
-                if self._try(_WRITE[number]) and self._become_holder(number):
+            number = self._number
+            if self._try(_HOLD[number]):
+                if self._try(_WRITE[number]) and self._become_holder():
                     return True
                 self._try(_DROP[number])  # a takeover is under way, or was quicker
             if not self.look_up():
                 return False
 
-    def _become_holder(self, number: int) -> bool:
+    def _become_holder(self) -> bool:
         """Become the holder, with HELD and WRITING locked; False: the epoch is over."""
-        data = os.pread(self._fd, _LAST_SIZE + BLOCK * number, EPOCH_AT)
-        if (data[: NUMBER.size] or _NO_EPOCH) != self._epoch_bytes:
+        if not self._read_last():
             return False
-        self._last = last_of(data, _HEADER_SIZE + BLOCK * number)
-        self._try(_CONFIRM[number])
-        self._try(_WRITTEN[number])
+        self._next_token, self.token = 0, self._token_after()
+        self._try(flock(fcntl.F_WRLCK, self._held - self.token, self.token))
+        self._try(_WRITTEN[self._number])
         return True
 
     def wait_before(self, place: int) -> None:
@@ -528,17 +579,18 @@ class LockFile:
 
     def wait_for_mark(self) -> None:
         """Wait until the process that took the lock of the known epoch at once has released it."""
-        mark = flock(fcntl.F_RDLCK, held_at(self.epoch) + 1, 1)
+        mark = flock(fcntl.F_RDLCK, self._held + 1, 1)
         fcntl.fcntl(self._fd, fcntl.F_OFD_SETLKW, mark)
         self.let_go()
 
     def let_go(self) -> None:
         """Release the lock and the place."""
         self._last = None
-        if self._fd >= 0:
+        fd = self._fd
+        if fd >= 0:
             if self._witness is not None:
                 self._witness.drop()
-            fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _UNLOCK_ALL)
+            fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _UNLOCK_ALL)
 
     def let_go_of_places(self) -> None:
         """Release the place, but keep the lock."""
@@ -550,6 +602,10 @@ class LockFile:
             if found is None:
                 return place
             place = found[1] - PLACES + 1
+
+    def _is_locked(self, wanted: bytes) -> bool:
+        """Return True if another open file has a lock that excludes the wanted one."""
+        return not fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, wanted).startswith(_UNLOCKED)
 
     def _try(self, lock: bytes) -> bool:
         try:
@@ -586,21 +642,18 @@ class LockFile:
 
     def line(self) -> Line:
         """Return the block of the epoch that was read last."""
-        return Line(os.pread(self._fd, BLOCK, line_block(self.epoch)))
+        return Line(os.pread(self._fd, BLOCK, self._line_at))
 
-    def tell_holder(self, token: int, record: bytes, lease: bytes = NO_LEASE) -> None:
+    def tell_holder(self, record: bytes, lease: bytes = NO_LEASE) -> None:
         """Publish the record of this process as the holder."""
-        fd, epoch = self._fd, self.epoch
-        held = flock(fcntl.F_WRLCK, held_at(epoch) - token, token)
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, held)
-        os.pwrite(fd, lease + record, line_block(epoch) + LEASE_AT)
+        os.pwrite(self._fd, lease + record, self._line_at + LEASE_AT)
         if self._last is None:
-            os.pwrite(fd, MAGIC, 0)
+            os.pwrite(self._fd, MAGIC, 0)
 
     def tell_release(self, token: int) -> None:
         """Publish the release of the lock."""
         if self._fd >= 0:
-            os.pwrite(self._fd, NUMBER.pack(token), line_block(self.epoch) + RELEASED_AT)
+            os.pwrite(self._fd, NUMBER.pack(token), self._line_at + RELEASED_AT)
 
     def tell_waiter(self, place: int, record: bytes) -> None:
         """Publish the record of this process as a waiter."""
@@ -608,31 +661,26 @@ class LockFile:
 
     def tell_lease(self, lease_ns: int, end_ns: int) -> None:
         """Publish the lease, inside a write section."""
-        os.pwrite(self._fd, LEASE.pack(lease_ns, end_ns), line_block(self.epoch) + LEASE_AT)
+        os.pwrite(self._fd, LEASE.pack(lease_ns, end_ns), self._line_at + LEASE_AT)
 
     # ---- write sections, which block takeovers ----
 
     def try_write(self) -> bool:
         """Block takeovers until `end_write`. Return False during a takeover."""
-        return self._fd >= 0 and self._try(_WRITE[self.epoch % LINES])
+        return self._fd >= 0 and self._try(_WRITE[self._number])
 
     def end_write(self) -> None:
         """Permit takeovers again."""
-        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _WRITTEN[self.epoch % LINES])
+        fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _WRITTEN[self._number])
 
     def try_write_alone(self) -> bool:
         """Exclude all other writers of the known epoch. Return True on success."""
-        return self._try(_WRITE_ALONE[self.epoch % LINES])
+        return self._try(_WRITE_ALONE[self._number])
 
     @property
     def fd(self) -> int:
         """The descriptor, for `motorhil.motorapi.locking.takeover`."""
         return self._fd
-
-
-def _is_locked(answer: bytes) -> bool:
-    kind: int = _FLOCK.unpack(answer)[0]
-    return kind != fcntl.F_UNLCK
 
 
 def _in_child() -> None:

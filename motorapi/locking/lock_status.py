@@ -98,9 +98,10 @@ class LockReader:
                 if self._epoch()[0] == epoch:
                     return None
                 continue
-            record = Line(os.pread(self._fd, BLOCK, line_block(epoch))).record
-            if record is not None and record.number == held - found[0]:
-                return record
+            line = Line(os.pread(self._fd, BLOCK, line_block(epoch)))
+            record, token = line.record, held - found[0]
+            if record is not None and record.number == token != line.released:
+                return record  # else an attempt, a holder that has not published, or a release
         return None
 
     def waiters(self) -> list[tuple[int, Record | None]]:

@@ -23,7 +23,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, NamedTuple, Protocol, final, runtime_checkable
@@ -35,7 +35,6 @@ from motorhil.motorapi.locking.lock_file import (
     LEASE,
     NO_LEASE,
     LockFile,
-    first_token,
     pack_record,
     pack_words,
 )
@@ -140,11 +139,10 @@ class LockHandle:
         file: LockFile,
         owner: object,
         token: int,
-        *,
         changed_hands: bool,
         was_abandoned: bool,
-        taken_from: str | None = None,
-        lease_ns: int = 0,
+        taken_from: str | None,
+        lease_ns: int,
     ) -> None:
         self._lock = lock
         self._file = file
@@ -152,7 +150,7 @@ class LockHandle:
         self._counting = threading.Lock()
         self._writers = 0
         self._lease_ns = lease_ns
-        self._end_ns = lock.clock() + lease_ns  # end of the lease
+        self._end_ns = lock.clock() + lease_ns if lease_ns else 0  # end of the lease
         self._renew_ns = 0  # time of the next renewal; the first use renews
         self._loss: Loss | None = None
         self.owner: Final = owner
@@ -572,21 +570,6 @@ def _find_rival(file: LockFile, request: LockRequest) -> MotorBusyError | None:
     return None if file.witness(is_live) else refusals[-1]
 
 
-def _begin_first_write(file: LockFile, request: LockRequest) -> None:
-    """Block takeovers until the first token of a new file is published: nobody could know it.
-
-    Raises:
-        MotorBusyError: the lock is being taken over.
-    """
-    if file.try_write():
-        return
-    if request.timeout_s != 0.0 and request.wait(
-        request.runtime, file.try_write, request.timeout_s
-    ):
-        return
-    raise _busy_error(request.runtime, request.asker, Occupant(None), _DOING[Attempt.TAKING])
-
-
 def can_share_time(runtime: Runtime) -> bool:
     """Return True if another process can end a wait in this runtime."""
     # as Wakeable and SharedTime; isinstance would take 40 us
@@ -629,7 +612,7 @@ class ProcessLock:
         self._identity = os.urandom(16)
         self._mutex = threading.Lock()
         self._watcher = QueueWatcher(self._open)
-        self._spare: LockFile | None = None
+        self._spares: list[LockFile] = []  # free files; its operations are atomic
         self._hold: LockHandle | None = None
         self._writing: dict[int, list[LockHandle]] = {}  # by thread
 
@@ -664,8 +647,8 @@ class ProcessLock:
             UsageError: the file of the lock is not safe, or no wait is possible here.
         """
         owner = threading.current_thread() if owner is None else owner
-        hold = self.hold
-        if hold is not None and hold.owner is owner:
+        hold = self._hold
+        if hold is not None and hold.owner is owner and hold.is_held:
             hold.again()
             return hold
         lease_ns = 0 if lease_s is None else round(lease_s * 1e9)
@@ -678,13 +661,8 @@ class ProcessLock:
                     takeover = self._take(file, self._request(*asked))
                 if not file.witness():
                     self._await_rival(file, self._request(*asked), takeover)
-                if takeover is None and file.last() is None:
-                    _begin_first_write(file, self._request(*asked))
                 if not file.is_gone:
-                    hold = self._publish(file, purpose, lease_ns, takeover, owner)
-                    if hold is not None:
-                        return hold
-                    continue
+                    return self._publish(file, purpose, lease_ns, takeover, owner)
             except OSError as error:
                 file.close()
                 raise UsageError(f"{file.name}: {error.strerror}") from error
@@ -815,18 +793,16 @@ class ProcessLock:
     def give_back(self, file: LockFile) -> None:
         """Release all locks of this open file; it is kept for the next acquisition."""
         file.let_go()
-        with self._mutex:
-            if self._spare is None and not file.is_closed:
-                self._spare = file
-                return
-        file.close()
+        if self._spares or file.is_closed:
+            file.close()
+        else:
+            self._spares.append(file)
 
     def close(self) -> None:
-        """Close the spare file; a held lock is not released."""
-        with self._mutex:
-            spare, self._spare = self._spare, None
-        if spare is not None:
-            spare.close()
+        """Close the spare files; a held lock is not released."""
+        with suppress(IndexError):
+            while True:
+                self._spares.pop().close()
 
     def _open(self) -> LockFile:
         file = LockFile(self._directory, self.name)
@@ -835,9 +811,10 @@ class ProcessLock:
         return file
 
     def _take_file(self) -> LockFile:
-        with self._mutex:
-            file, self._spare = self._spare, None
-        return self._open() if file is None else file
+        try:
+            return self._spares.pop()
+        except IndexError:
+            return self._open()
 
     def _publish(
         self,
@@ -846,43 +823,28 @@ class ProcessLock:
         lease_ns: int,
         takeover: TakeoverAttempt | None,
         owner: object,
-    ) -> LockHandle | None:
-        """Publish an acquired lock and return its handle; None: it is lost again already."""
+    ) -> LockHandle:
+        """Publish an acquired lock and return its handle."""
         if takeover is not None:
             token, identity, was_abandoned = takeover.token, takeover.from_identity, False
+            taken_from: str | None = takeover.taken_from
         else:
-            last = file.last()
-            token, identity, was_abandoned = last or (first_token(), b"", False)
-            token += 1
-            lease = NO_LEASE
-            if lease_ns:
-                lease = LEASE.pack(lease_ns, self.clock() + lease_ns)
-            file.tell_holder(token, self._record(token, purpose, None), lease)
-            if last is None:
-                is_ours = file.is_current  # else it was taken, by a token that may be smaller
-                file.end_write()
-                if not is_ours:
-                    self.give_back(file)
-                    return None
+            token, taken_from = file.token, None
+            _, identity, was_abandoned = file.last() or (0, b"", False)
+            lease = LEASE.pack(lease_ns, self.clock() + lease_ns) if lease_ns else NO_LEASE
+            file.tell_holder(self._record(token, purpose, None), lease)
+        changed_hands = identity != self._identity
         hold = self._hold = LockHandle(
-            self,
-            file,
-            owner,
-            token,
-            changed_hands=identity != self._identity,
-            was_abandoned=was_abandoned,
-            taken_from=None if takeover is None else takeover.taken_from,
-            lease_ns=lease_ns,
+            self, file, owner, token, changed_hands, was_abandoned, taken_from, lease_ns
         )
         return hold
 
     def _record(self, number: int, purpose: str, reason: str | None) -> bytes:
         process = this_process()
+        words = self._words.get(purpose)
         if reason is not None:
             words = pack_words(process.program, purpose, reason)
-        else:
-            words = self._words.get(purpose, b"")
-        if not words:
+        elif words is None:
             if len(self._words) >= _WORDS_MAX:
                 self._words.clear()
             words = self._words[purpose] = pack_words(process.program, purpose, self.label)

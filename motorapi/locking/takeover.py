@@ -12,9 +12,9 @@ If the process dies before the epoch is written, nothing has changed. If it dies
 lock that a dead process has not released, which the next process handles as usual.
 
 The holder is not in a write section, and begins none, from the first step to the last. So the write
-sections of one epoch end before the next epoch begins. Nobody becomes the holder meanwhile: whoever
-has locked HELD without the byte below it drops it again. A holder that releases the lock meanwhile
-succeeds, and finds nothing lost.
+sections of one epoch end before the next epoch begins. No process becomes the holder meanwhile: its
+attempt notices WRITING or the new epoch, and ends. A takeover treats an attempt with the next token
+like a holder. A holder that releases the lock meanwhile succeeds, and finds nothing lost.
 """
 
 import fcntl
@@ -30,13 +30,11 @@ from motorhil.motorapi.locking.lock_file import (
     MAGIC,
     NUMBER,
     PLACES,
-    UNPUBLISHED,
     Line,
     LockFile,
     Record,
     find,
     first_places,
-    first_token,
     flock,
     held_at,
     line_block,
@@ -84,7 +82,7 @@ class TakeoverAttempt:
         self._file: Final = file
         self._now_ns: Final = now_ns
         self._describe: Final = describe
-        self._first_byte = 0  # locked by the holder; a lower one once it publishes its token
+        self._first_byte = 0  # locked by the holder
         self._lease: Final = LEASE.pack(lease_ns, lease_end_ns)
         self.token: int = 0
         self.lost: int = 0
@@ -121,24 +119,21 @@ class TakeoverAttempt:
     def _find_due(self) -> Attempt | None:
         """Return None if a takeover is permitted, else the reason against it."""
         file = self._file
-        held, line = held_at(file.epoch), file.line()  # a token not in the line yet is in the lock
+        held = held_at(file.epoch)
         found = find(file.fd, fcntl.F_RDLCK, held, 1)
         if found is None or found[0] == held:  # free, or locked by an attempt
             return Attempt.FREE
         self._first_byte = found[0]
-        told = held - found[0]
+        told, line = held - found[0], file.line()  # a token not in the line yet is in the lock
+        if told < line.token:
+            return Attempt.FREE  # an attempt that came too late, or a release meanwhile
         if self._now_ns is not None and (
             line.is_new or told != line.token or not 0 < line.lease_end_ns <= self._now_ns
         ):
             return Attempt.NOT_DUE
         self._line = line
-        self.lost = self._next(line) if told == UNPUBLISHED else told
+        self.lost = told
         return None
-
-    @staticmethod
-    def _next(line: Line) -> int:
-        """Return the token of a holder that has not published it yet: only one is possible."""
-        return first_token() if line.is_new else line.token + 1
 
     def _who_writes(self) -> Attempt:
         at = held_at(self._file.epoch) + 2

@@ -28,7 +28,7 @@ from motorhil.harness.sharing_tests.history import (
 )
 from motorhil.harness.sharing_tests.linearizability import require_linearizable
 from motorhil.motorapi.errors import MotorBusyError
-from motorhil.motorapi.locking import process_lock, takeover, witness
+from motorhil.motorapi.locking import lock_file, process_lock, witness
 from motorhil.motorapi.locking.directory import LockDirectory
 from motorhil.motorapi.locking.process_lock import LockHandle, ProcessLock
 from motorhil.motorapi.runtime.api import Runtime
@@ -203,8 +203,7 @@ def attack(seed: str, folder: Path) -> Done:
         stopped_at_calls(),
         patch.object(witness, "_hash_of", files.number_of),
         patch.object(process_lock, "_TAKER_PATIENCE_NS", -1),
-        patch.object(process_lock, "first_token", shared.now),
-        patch.object(takeover, "first_token", shared.now),
+        patch.object(lock_file, "first_token", shared.now),
     ):
         is_new = dice.random() < 0.3
         if not is_new:

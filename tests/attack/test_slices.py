@@ -37,7 +37,7 @@ from tests.attack.campaign import Attack, Campaign, Done
 
 SEED = 1
 PAIRS = 5
-READS_AGAIN = 383
+READS_AGAIN = 164
 """The schedule that meets a takeover just before it reads its epoch again."""
 UNCOMPILED = pytest.mark.pure("compiled classes cannot be broken on purpose")
 

@@ -1,4 +1,9 @@
-"""The lock between processes, compared with flock in the same run."""
+"""The lock between processes, compared with flock and with no lock in the same run.
+
+Each worker keeps a processor busy. The scheduler stops some of them. Behind a stopped owner, all
+others wait. The same work without a lock shows how long a stop is, which bounds the worst wait.
+flock has no order, so its owner mostly takes it again at once.
+"""
 
 import fcntl
 import os
@@ -19,9 +24,10 @@ ROUNDS = 5
 SHORT_ROUNDS = 200  # shorter than a time slice, so that some rounds run undisturbed
 TIMES = 100
 CONTEST_S, INSIDE_S = 3.0, 50e-6
-OURS, FLOCK = (
+OURS, FLOCK, FREE = (
     "motorhil.harness.sharing_tests.workers:work_lock",
     "tests.benchmarks.bench_locks:work_flock",
+    "tests.benchmarks.bench_locks:work_free",
 )
 
 
@@ -100,6 +106,14 @@ def work_flock(desk: Desk) -> None:
         give.returned()
 
 
+def work_free(desk: Desk) -> None:
+    """Work as long as one owner, without a lock; a wait is the time of a turn."""
+    while not desk.is_over:
+        take = desk.history.call(desk.name, "lock", Action.TAKE)
+        desk.spend(INSIDE_S)
+        take.returned()
+
+
 def _contested(work: str) -> Outcome:
     facts: dict[str, object] = {"inside_s": INSIDE_S, "commands": 1}
     return contested(Plan(work, seconds=CONTEST_S, workers=4, facts=facts))
@@ -117,12 +131,13 @@ def run() -> list[tuple[str, float, str]]:
     """Return the figures as (name, figure, unit)."""
     ours_us, flock_us = _uncontended_us()
     write_us, renew_us, over_us = _held_us()
-    pairs = [  # alternately, so that both meet the same disturbances
-        (_contested(OURS), _contested(FLOCK)) for _ in range(ROUNDS)
+    rounds = [  # alternately, so that all meet the same disturbances
+        [_contested(work).waits_s for work in (OURS, FLOCK, FREE)] for _ in range(ROUNDS)
     ]
-    ours_s = statistics.median(ours.waits_s[-1] for ours, _ in pairs)
-    peer_s = statistics.median(peer.waits_s[-1] for _, peer in pairs)
-    turns, peer_turns = (sum(len(one.waits_s) for one in them) for them in zip(*pairs, strict=True))
+    ours_s, peer_s, free_s = (
+        statistics.median(waits_s[-1] for waits_s in them) for them in zip(*rounds, strict=True)
+    )
+    turns, peer_turns, _ = (sum(map(len, them)) for them in zip(*rounds, strict=True))
     killed = contested(Plan(OURS, seconds=10.0, kill_period_s=0.05))
     return [
         ("taking it and letting it go, nobody else there", ours_us, "us"),
@@ -133,6 +148,7 @@ def run() -> list[tuple[str, float, str]]:
         ("4 processes, 50 us inside: worst wait (median of 5 runs of 3 s)", ours_s * 1e3, "ms"),
         ("the same with flock", peer_s * 1e3, "ms"),
         ("ours against that", ours_s / peer_s, "x"),
+        ("the same without a lock: longest turn", free_s * 1e3, "ms"),
         ("turns a second", turns / ROUNDS / CONTEST_S, "1/s"),
         ("the same with flock", peer_turns / ROUNDS / CONTEST_S, "1/s"),
         ("5 processes, one killed every 50 ms for 10 s: killed", killed.counts["killed"], ""),

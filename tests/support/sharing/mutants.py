@@ -14,7 +14,7 @@ from unittest.mock import patch
 from motorhil.motorapi import execution
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
 from motorhil.motorapi.adaptations.cia402.motion import DriveMotions
-from motorhil.motorapi.locking.lock_file import LockFile
+from motorhil.motorapi.locking.lock_file import LockFile, first_token
 from motorhil.motorapi.locking.process_lock import LockHandle
 from motorhil.motorapi.ownership.ownership import Ownership, WaitQueue
 
@@ -125,13 +125,13 @@ def no_fence(folder):
 
 def no_token(folder):
     """Keep the token constant."""
-    LockFile.last = lambda file: (0, b"", False)
+    LockFile.token = property(lambda file: 1, lambda file, token: None)
 
 
 def no_exclusion(folder):
     """Plant a lock without mutual exclusion."""
     LockFile.take = lambda file, place: True
-    LockFile.tell_holder = lambda file, token, record, lease=b"": os.pwrite(file.fd, record, 400)
+    LockFile.tell_holder = lambda file, record, lease=b"": os.pwrite(file.fd, record, 400)
 
 
 def stays_after_death(folder):
@@ -145,6 +145,7 @@ def stays_after_death(folder):
         except FileExistsError:
             return False
         mine.add(file.name)
+        file.token = first_token()
         return True
 
     def drop_flag(file):
