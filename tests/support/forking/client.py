@@ -28,7 +28,8 @@ _COMMAND: Final = re.compile(
     r"sys\.exit\((main|start)\((sys\.argv\[1:\])?\)\)\n?"
 )
 _FLAGS: Final = ("-P", "-u")
-_execute: Final[Any] = subprocess.Popen._execute_child  # type: ignore[attr-defined]
+_Popen: Final = subprocess.Popen  # also where a test has put another in its place
+_execute: Final[Any] = _Popen._execute_child  # type: ignore[attr-defined]
 
 
 def early(environment: Any) -> dict[str, str]:
@@ -44,16 +45,13 @@ class ForkServer:
         self._lock = threading.Lock()
         self._early = early(os.environ)
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        process = subprocess.Popen.__new__(subprocess.Popen)
         with theirs:
-            subprocess.Popen.__init__(
-                process,
+            self._process = _Popen(
                 [sys.executable, "-m", "tests.support.forking.server", str(theirs.fileno())],
                 cwd="/",
                 pass_fds=[theirs.fileno()],
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
-        self._process = process
 
     def suits(self, environment: Any) -> bool:
         """Return whether a program in this environment starts like the server."""
