@@ -9,8 +9,8 @@ DOCS := .venv-docs
 DIST := dist
 OPTIMISE := 2
 PACKAGES := motorhil
-# On two processors: while one waits for the wall clock, two others work (tests/conftest.py).
-WORKERS := -n 3 --dist loadfile --no-loadscope-reorder
+# A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
+WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 
 DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
 
