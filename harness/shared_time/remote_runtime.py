@@ -66,10 +66,9 @@ class RemoteLink:
             self._send_message(records.batch(held))
 
     def _send_message(self, message: bytes) -> None:
-        if not self.is_open:
-            raise UsageError(GONE)
         try:
-            self._send(message)
+            if self.is_open:
+                self._send(message)
         except OSError:
             self.is_open = False
         if not self.is_open:

@@ -179,9 +179,7 @@ class StreamedCanHardware(CanHardware[OptionsT]):
             self.forget()
 
     def _rests(self) -> bool:
-        motions = self.motions
-        is_sent = not motions.is_going  # the caller of `slow_down` sends the ramp of a stop
-        return is_sent and (motions.variable is None or motions.since_end_s >= 0.0)
+        return not self.motions.is_under_way
 
     def forget(self) -> None:
         """End the stream, and forget what the drive was told."""

@@ -76,6 +76,11 @@ class StreamedMotion:
         return self._stream is not None and self._stream.is_going
 
     @property
+    def is_under_way(self) -> bool:
+        """True until the course is over, also if the caller of `slow_down` sends it."""
+        return self.variable is not None and (self.is_going or self.since_end_s < 0.0)
+
+    @property
     def is_queued(self) -> bool:
         """True until the first set-point was on the bus: it replaces what is heard before."""
         return self._stream is not None and self._stream.is_queued

@@ -578,10 +578,13 @@ def in_phase(group: MotorGroup) -> Iterator[None]:
         raise NotApplicable(f"its motors limit the jerk: {error}") from None
 
 
-def finish_group(bench: RigProtocol, group: MotorGroup) -> None:
-    """Wait until the group is done, and until the motors have settled."""
+def finish_group(bench: RigProtocol, group: MotorGroup) -> float:
+    """Wait until the group is done [s, returned], and until the motors have settled."""
+    begun_ns = bench.runtime.now_ns()
     group.wait_until_done(_GROUP_TIMEOUT_S)
+    took_s = elapsed_s(bench, begun_ns)
     rest_for(bench, 10.0 * SAMPLE_S)
+    return took_s
 
 
 def half_move(bench: RigProtocol) -> float:

@@ -447,8 +447,7 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     told: list[Outcome] = []
     motor.on_done(told.append)
     motor.close()
-    error = failure_of(partial(motor.wait_until_done, 1.0))
-    expect(error is not None, "close() in a motion: the wait returned as if it were done")
+    _expect_cut_short(motor, "close() in a motion")
     for one in told:
         expect(one.ending is not Ending.DONE, f"close() in a motion: {one}")
     for operation in (motor.start, motor.enable, motor.reset_fault, motor.disable):
@@ -491,8 +490,12 @@ def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
     begin_move(bench, again, way, 0.5 * shortest_s(again, way))
     again.stop()
     again.close()
-    told = failure_of(partial(again.wait_until_done, 1.0))
-    expect(told is not None, "close() before a stop was over: the wait returned as if it were")
+    _expect_cut_short(again, "close() before a stop was over")
+
+
+def _expect_cut_short(motor: Motor, what: str) -> None:
+    error = failure_of(partial(motor.wait_until_done, 1.0))
+    expect(error is not None, f"{what}: the wait returned as if it were done")
 
 
 @clause(

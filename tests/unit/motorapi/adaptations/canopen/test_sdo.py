@@ -51,9 +51,6 @@ class Refusal:
     def send(self, frame):
         raise MotorBusyError(motor="left", holder="rescue", since_ns=0)
 
-    def passage(self):
-        raise MotorBusyError(motor="left", holder="rescue", since_ns=0)
-
 
 def test_only_a_write_that_stops_passes_the_fence():
     script = Transcript([("602#2B4060000B000000", "582#6040600000000000")])
