@@ -270,7 +270,11 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
     duration_s = max(1.0, 1.1 * ramp_s(asked, rate, jerk))
     before = position_of(bench, motor)
     ramp = TrapezoidalTrajectory(asked, duration_s=duration_s)
-    follow(motor, ramp, ControlVariable.VELOCITY)
+    motor.set_control_mode(ControlMode.TRAJECTORY, ControlVariable.VELOCITY)
+    motor.set_trajectory(ramp)
+    asked_ns = bench.runtime.now_ns()
+    motor.start()
+    started_s = elapsed_s(bench, asked_ns)  # the ramp has begun at any time of this
     samples = sample_positions(bench, motor, 1.3 * duration_s)
     finish(bench, motor)
     expect_speed(bench, motor, asked, 0.2, "after the ramp")
@@ -280,7 +284,7 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
     spare_s = 0.05 + max(map(abs, bench.facts.latency_s))
     made = ramped(asked, duration_s, rate, jerk)
     for at_s, position in samples:
-        early, late = made(at_s + spare_s), made(at_s - spare_s)
+        early, late = made(at_s + started_s + spare_s), made(at_s - spare_s)
         spare = bench.facts.following
         expect(
             late - spare <= position - before <= early + spare,
