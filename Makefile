@@ -144,8 +144,8 @@ built = case "$$(cat $(COMPILED)/.source 2>/dev/null)" in "$$source "[$(OPTIMISE
 
 compiled: $(READY)  ## the hot cores as C extensions; .venv/bin/motorhil takes them
 	@source=$(SOURCE); proof=$$($(BIN)/python -m motorhil.compiled); \
-	{ $(built) || { $(MAKE) --no-print-directory build-compiled && \
-	    echo "$$source $(OPTIMISE)" > $(COMPILED)/.source; }; } && echo "$$proof" > $(COMPILED)/.proof
+	{ $(built) || $(MAKE) --no-print-directory build-compiled SOURCE="$$source"; } && \
+	    if $(built); then echo "$$proof" > $(COMPILED)/.proof; fi
 
 # Built from a copy, for a .so beside the sources would hide them; with the dependencies of .venv.
 # What was built before is used again, as long as the same modules are compiled in the same way.
@@ -169,6 +169,7 @@ build-compiled: $(READY)
 	@$(BIN)/python -c "$(PURELIB)" > "$$($(COMPILED)/bin/python -c "$(PURELIB)")/dependencies.pth"
 	@$(COMPILED)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index \
 	    --ignore-installed build/compiled/wheel/*.whl
+	@echo "$(SOURCE) $(OPTIMISE)" > $(COMPILED)/.source
 
 fuzz-compiled: compiled  ## the attacks against the compiled cores; FUZZ as for fuzz
 	@rm -rf build/tests && mkdir -p build/tests && cp -r tests pyproject.toml build/tests/
