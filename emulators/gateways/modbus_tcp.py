@@ -116,6 +116,7 @@ class ModbusSocket:
         world: the world of the line.
         line: the name of a Modbus/TCP line.
         any_address: allow addresses that other machines can reach.
+        clients_max: the greatest number of clients.
 
     Attributes:
         address: (host, port) in use.
@@ -125,8 +126,16 @@ class ModbusSocket:
     """
 
     def __init__(
-        self, host: str, port: int, world: World, line: str, *, any_address: bool = False
+        self,
+        host: str,
+        port: int,
+        world: World,
+        line: str,
+        *,
+        any_address: bool = False,
+        clients_max: int = CLIENTS_MAX,
     ) -> None:
+        self._clients_max: Final = clients_max
         self._world = world
         self._line = line
         self._connections: dict[socket.socket, _Connection] = {}  # the silent ones first
@@ -134,17 +143,19 @@ class ModbusSocket:
         self._is_settled = False  # no client came, left, or has unread bytes
         family, address = _resolved(host, port, any_address)
         self._listener = socket.socket(family, socket.SOCK_STREAM)
+        problem = ""
         try:
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.bind(address)
             self._listener.listen(CLIENTS_MAX)
             self._listener.setblocking(False)
         except OSError as error:
+            problem = f"{error.strerror or error}"
+        if problem:
             self._listener.close()
             raise ModbusSocketError(
-                f"{_written(host, port)}: {error.strerror or error}; choose another port, or 0 "
-                "for any free one"
-            ) from None
+                f"{_written(host, port)}: {problem}; choose another port, or 0 for any free one"
+            )
         bound: tuple[str, int] = self._listener.getsockname()[:2]
         self.address: Final = bound
 
@@ -187,7 +198,7 @@ class ModbusSocket:
             connection, peer = self._listener.accept()
         except OSError:  # it has left again, or the descriptors are used up: it waits
             return
-        if len(self._connections) >= CLIENTS_MAX:
+        if len(self._connections) >= self._clients_max:
             self._connections.pop(next(iter(self._connections))).close()
         connection.setblocking(False)
         with suppress(OSError):  # it may have left already
@@ -217,12 +228,13 @@ def _written(host: str, port: int) -> str:
 def _resolved(
     host: str, port: int, any_address: bool
 ) -> tuple[socket.AddressFamily, tuple[str, int] | tuple[str, int, int, int]]:
+    problem = ""
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except OSError as error:
-        raise ModbusSocketError(
-            f"{_written(host, port)}: {error.strerror or error}; usual: 127.0.0.1"
-        ) from None
+        problem = f"{error.strerror or error}"
+    if problem:
+        raise ModbusSocketError(f"{_written(host, port)}: {problem}; usual: 127.0.0.1")
     for _, _, _, _, address in found:
         if not any_address and not ipaddress.ip_address(str(address[0])).is_loopback:
             raise ModbusSocketError(

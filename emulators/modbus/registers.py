@@ -9,11 +9,11 @@ instant. Two requests read them at two instants, as in any controller with a cha
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final, final
 
 from motorhil.emulators.modbus.codes import ILLEGAL_DATA_VALUE, OK
-from motorhil.frozen import frozen
 
 Reader = Callable[[], int]
 """A function that returns the current value of a register, in its own type."""
@@ -45,7 +45,7 @@ _SIGNED: Final = (Kind.I16, Kind.I32)
 
 
 @final
-@frozen
+@dataclass(frozen=True, slots=True)
 class Register:
     """One row of a register map.
 

@@ -69,6 +69,7 @@ INTERPRETED = {
         "motorapi/adaptations/host_servo/node.py",
     ),
     "derives from interpreted classes, or is derived from; referred to weakly": (
+        "emulators/modbus/drive.py",
         "motorapi/adaptations/canopen/bus.py",
         "motorapi/adaptations/host_servo/hardware.py",
         "harness/python_can/bus.py",
@@ -81,6 +82,9 @@ INTERPRETED = {
         "harness/python_can/send_limit.py",
     ),
     "waits for wall time, sockets or files": (
+        "emulators/gateways/hub.py",
+        "emulators/gateways/modbus_pty.py",
+        "emulators/gateways/socketcan.py",
         "harness/python_can/hub_client.py",
         "harness/recording/loop.py",
         "harness/recording/socketcan.py",
@@ -110,10 +114,10 @@ INTERPRETED = {
         "traces/mcap/writer.py",
     ),
 }
-# Folders without a compiled module: settings, gateways, Modbus, the motor interface, all tools.
+# Folders without a compiled module: settings, the motor interface, all tools.
 # The folders of the kinds of drives that have none are taken from the entry points.
 FOLDERS = (
-    *("emulators", "emulators/gateways", "emulators/modbus", "emulators/settings"),
+    *("emulators", "emulators/settings"),
     *("harness", "harness/analysis", "harness/cli", "harness/conformance"),
     *("harness/conformance/benches", "harness/conformance/clauses"),
     *("harness/conformance/clauses/failures", "harness/conformance/clauses/motion"),

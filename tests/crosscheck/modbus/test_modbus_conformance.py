@@ -16,7 +16,7 @@ import pytest
 
 from motorhil.emulators.modbus.rtu import with_crc
 from motorhil.emulators.modbus.tcp import adu
-from tests.support.modbus.served import Served
+from tests.support.modbus.served import CLIENTS_MAX, Served
 
 pytestmark = pytest.mark.wall
 
@@ -38,10 +38,10 @@ def ask(request, served) -> Ask:
     return served.ask_tcp if request.param == "tcp" else served.ask_rtu
 
 
-def test_idle_clients_leave_room_for_a_new_one(served, monkeypatch):
+def test_idle_clients_leave_room_for_a_new_one(served):
     """The guide on TCP, connection management: the oldest unused connection is closed."""
-    monkeypatch.setattr("motorhil.emulators.gateways.modbus_tcp.CLIENTS_MAX", 4)
-    idle = [socket.create_connection(served.socket.address) for _ in range(3)]
+    others = CLIENTS_MAX - 1  # one is in use
+    idle = [socket.create_connection(served.socket.address) for _ in range(others)]
     for number in range(10):
         assert served.ask_tcp(1, pdu("03 0000 0001"))[0] == 0x03  # it is in use
         idle.append(socket.create_connection(served.socket.address))

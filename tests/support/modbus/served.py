@@ -27,6 +27,7 @@ from tests.unit.emulators.simulation.test_lines import Registers
 
 LONG_S = 20.0
 COUNT = 300
+CLIENTS_MAX = 4
 
 
 class AllTables(Registers):
@@ -67,7 +68,7 @@ class Served:
             world.add_controller(f"s{unit}", AllTables(unit, True), "rs485")
         self.world = world
         self.loop = WallLoop(queue)
-        self.socket = ModbusSocket("127.0.0.1", 0, world, "plant")
+        self.socket = ModbusSocket("127.0.0.1", 0, world, "plant", clients_max=CLIENTS_MAX)
         self.loop.add(self.socket)
         self.pty = ModbusPty(link, world, "rs485")
         self.loop.add(self.pty)
