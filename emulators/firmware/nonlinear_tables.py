@@ -16,6 +16,7 @@ Waves (cogging, gravity) act with their value at the start of the substep. A spr
 wave's steepest slope holds the body there, so that a step never gains energy from a wave.
 """
 
+from functools import lru_cache
 from typing import Final, final
 
 from motorhil.emulators.firmware.servo_tables import (
@@ -336,6 +337,7 @@ def _warming(plant: MotorPlant, slow_s: float) -> tuple[float, float, float, flo
     return m[0][0], m[0][1], m[0][2], m[1][0], m[1][1], m[1][2]
 
 
+@lru_cache(maxsize=64)
 def extras_tables(
     plant: MotorPlant,
     gains: ServoGains,
@@ -344,7 +346,7 @@ def extras_tables(
     current_steps: int,
     clock_rate: float,
 ) -> ExtrasTables | None:
-    """Return the tables of a nonlinear plant, not shared between axes; None for a linear plant."""
+    """Return the tables of a nonlinear plant, shared by equal axes; None for a linear plant."""
     if not plant.extras.is_any():
         return None
     return ExtrasTables(plant, gains, tick_table, tick_ns, current_steps, clock_rate)

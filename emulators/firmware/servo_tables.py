@@ -47,6 +47,7 @@ _WANTED: Final = 4
 _TORQUE: Final = 5
 
 _DOUBLINGS: Final = 40
+_VANISHING: Final = 1e-16  # entries of a power that adds less than rounding to any sum
 _SLACK: Final = 1.0 + 1e-9  # guards must hold in rounded arithmetic too
 _LEAST: Final = 1e-6  # a guard of 0, as of a current loop without gains, bounds nothing
 
@@ -313,7 +314,10 @@ def shrinking_norm(matrix: Matrix) -> tuple[float, float, float]:
     total = identity(2)
     power = matrix
     for _ in range(_DOUBLINGS):
-        transposed = [[power[0][0], power[1][0]], [power[0][1], power[1][1]]]
+        (a, b), (c, d) = power
+        if max(abs(a), abs(b), abs(c), abs(d)) < _VANISHING:
+            break
+        transposed = [[a, c], [b, d]]
         added = product(transposed, product(total, power))
         total = [[total[r][c] + added[r][c] for c in range(2)] for r in range(2)]
         power = product(power, power)
