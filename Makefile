@@ -9,8 +9,9 @@ DOCS := .venv-docs
 DIST := dist
 OPTIMISE := 2
 PACKAGES := motorhil
-# A third one would save a minute, and hurry what goes by the wall (tests/conftest.py).
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
+# These mostly wait. They run beside all others, and go before them at the processor.
+WAITING := wall or vcan
 
 DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
 
@@ -20,7 +21,7 @@ BYTECODE := build/bytecode
 test: export PYTHONDONTWRITEBYTECODE :=
 test: export PYTHONPYCACHEPREFIX := $(CURDIR)/$(BYTECODE)
 
-.PHONY: help install demo docs wheel quick test check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled fuzz-compiled
+.PHONY: help install demo docs wheel quick test waiting-tests working-tests check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled fuzz-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -68,8 +69,14 @@ test: $(READY)  ## everything that must hold, on one machine, in minutes; PURE=1
 	@if [ "$(PURE)" = 1 ] || ! command -v $${CC:-cc} > /dev/null; then \
 	    exec $(BIN)/python -m pytest $(WORKERS); fi; \
 	$(MAKE) --no-print-directory compiled && \
-	$(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled && \
-	MOTORHIL_HYPOTHESIS=brief $(BIN)/python -m pytest $(WORKERS) --cores pure
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=line waiting-tests working-tests
+
+waiting-tests: $(READY)
+	@unset MAKEFLAGS; $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "$(WAITING)"
+
+working-tests: $(READY)
+	@unset MAKEFLAGS; nice $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "not ($(WAITING))" && \
+	MOTORHIL_HYPOTHESIS=brief nice $(BIN)/python -m pytest $(WORKERS) --cores pure
 
 check: style types  ## style, types, import contracts, links and language of the documents
 	$(BIN)/lint-imports
