@@ -69,13 +69,14 @@ test: $(READY)  ## everything that must hold, on one machine, in minutes; PURE=1
 	@if [ "$(PURE)" = 1 ] || ! command -v $${CC:-cc} > /dev/null; then \
 	    exec $(BIN)/python -m pytest $(WORKERS); fi; \
 	$(MAKE) --no-print-directory compiled && \
-	$(MAKE) --no-print-directory --jobs 2 --output-sync=line waiting-tests working-tests
+	$(MAKE) --no-print-directory --jobs 2 waiting-tests working-tests
 
 waiting-tests: $(READY)
-	@unset MAKEFLAGS; $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "$(WAITING)"
+	@$(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "$(WAITING)" \
+	    > build/waiting.txt 2>&1; status=$$?; echo; cat build/waiting.txt; exit $$status
 
 working-tests: $(READY)
-	@unset MAKEFLAGS; nice $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "not ($(WAITING))" && \
+	@nice $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "not ($(WAITING))" && \
 	MOTORHIL_HYPOTHESIS=brief nice $(BIN)/python -m pytest $(WORKERS) --cores pure
 
 check: style types  ## style, types, import contracts, links and language of the documents

@@ -40,7 +40,7 @@ def servo_on(bus, name, runtime=None):
     )
     gains = PidGains.tuned(3.0, 0.038, friction_a=0.154)
     # Late cycles of a busy machine are no fault here: what counts is who sends.
-    coarse = ServoParameters(position_window=0.005, following_error_window=inf)
+    coarse = ServoParameters(position_window=0.02, following_error_window=inf)
     return SoftwareMotor(hardware, MODEL, gains, parameters=coarse, name=name)
 
 
