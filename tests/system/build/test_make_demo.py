@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.building import clone, demo
+from tests.support.building import clone, demo, make
 
 pytestmark = [
     pytest.mark.compiled,
@@ -31,3 +31,12 @@ def test_uncompilable_module_is_named_and_the_demo_is_pure(tmp_path):
     again = demo(folder)
     assert "could not be built" in again
     assert "new.py" not in again  # the build is not tried again
+
+
+def test_dry_run_marks_nothing_as_built(tmp_path):
+    """Make executes each line that names MAKE, even then."""
+    folder = clone(tmp_path, "motorhil")
+    (folder / ".venv-compiled").mkdir()
+    status, printed = make("--dry-run", "compiled", folder=folder)
+    assert status == 0, printed
+    assert list((folder / ".venv-compiled").iterdir()) == []
