@@ -104,6 +104,7 @@ DRIVES: dict[str, str] = {
         " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
         "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3 }"
     ),
+    "play": 'plant = { preset = "wheel_60w", backlash_rad = 0.0003 }',
     "warm": (
         'plant = { preset = "wheel_60w", ambient_c = 30.0, copper_coefficient_1_k = 0.0039,'
         " thermal_resistance_winding_housing_k_w = 2.0, thermal_time_constant_winding_s = 0.6,"
@@ -182,7 +183,8 @@ _OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
 CLAUSES: dict[str, tuple[str, ...]] = {
     "switches": (*_OF_SWITCHES, "TP-01", "TP-02", "TP-04", "DIN-01", "LSW-01", "LSW-02", "LIM-01"),
     "units": (*_OF_UNITS, "PV-05", "LIM-01", "RNG-01", "CSV-02", "PP-09", "HOME-07", "PV-08"),
-    "backlash": ("TP-04", "HOME-06", "PP-01", "PV-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    "backlash": ("PLANT-11", "TP-04", "HOME-06", "PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    "play": ("PP-01", "HOME-06"),
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
     "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),
     "sync supervision": ("CYC-01", "ERR-07", "CSP-01", "CSP-06", "IP-01", "IP-02", "CSV-01"),

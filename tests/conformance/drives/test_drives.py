@@ -37,9 +37,16 @@ def accusations(target):
     return [one for one in verdicts if one.result not in (Result.PASSED, Result.NOT_APPLICABLE)]
 
 
-NEEDS_STATEMENTS = {"HOME-03", "HOME-04", "HOME-05", "TP-04", "CYC-01", "VAL-02", "VAL-04"} | {
-    f"PLANT-0{number}" for number in range(1, 10)
-}
+NEEDS_STATEMENTS = {
+    "HOME-03",
+    "HOME-04",
+    "HOME-05",
+    "TP-04",
+    "CYC-01",
+    "VAL-02",
+    "VAL-04",
+    "PLANT-11",
+} | {f"PLANT-0{number}" for number in range(1, 10)}
 """Clauses about switches, monitoring and objects that the kit's own drive does not have."""
 
 

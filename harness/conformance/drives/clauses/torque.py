@@ -151,6 +151,39 @@ def torque_mode_halts(bench: DriveBench) -> None:
     drive.near(od.VELOCITY, 0, 1 + pace.velocity // 50, "6071h written during halt", "halt ends")
 
 
+@drive_clause("TQ-07", Level.L2, source=f"{_TQ}; digital inputs 60FDh, bits 0 and 1")
+def torque_mode_has_limit_switches(bench: DriveBench) -> None:
+    """A limit switch that stops the motor in tq does so against its torque too, and lets it back.
+
+    A load can drive the motor into the switch, while its torque points away from it.
+    """
+    drive, pace, torque = _start(bench, Mode.TQ)
+    for sign, name in ((1, "positive_limit"), (-1, "negative_limit")):
+        for share in (torque, -1):
+            bench.stimulate(name, -1)
+            drive.write(od.TARGET_TORQUE, sign * torque)
+            full = round(sign * pace.velocity / 2)
+            drive.watch_to(od.VELOCITY, full, _longest_s(pace), sign=sign)
+            drive.write(od.TARGET_TORQUE, sign * share)
+            velocity = sign * drive.read(od.VELOCITY)
+            if velocity <= pace.velocity // 4:
+                raise NotApplicable(f"6071h = {torque}: the motor turns at {velocity} only")
+            bench.stimulate(name, 1)
+            what = f"{name} on, in tq with 6071h = {sign * share}"
+            drive.quiet(velocity / pace.velocity * pace.ramp_s + 0.02)
+            left = drive.read(od.VELOCITY)
+            is_stopped = abs(left) <= 1 + pace.velocity // 20
+            if share == torque and not is_stopped:
+                raise NotApplicable("a limit switch does not stop the motor in tq")
+            expected = "rest after the ramp 6085h"
+            drive.expect(is_stopped, what, expected, f"606Ch = {left}", "its torque decides")
+        drive.write(od.TARGET_TORQUE, -sign * torque)
+        drive.quiet(pace.ramp_s)
+        away = -sign * drive.read(od.VELOCITY)
+        drive.expect(away > 0, what, "motion away from it", f"606Ch = {-sign * away}")
+        bench.stimulate(name, -1)
+
+
 @drive_clause("TQ-04", Level.L2, source=_LIMITS)
 def torque_limits(bench: DriveBench) -> None:
     """6072h and 6073h limit the torque 6077h, 60E0h only a positive one, 60E1h a negative one."""
