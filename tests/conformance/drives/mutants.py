@@ -1618,3 +1618,13 @@ def load_has_twice_the_play(patch):
         return init
 
     _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("OD-09")
+def object_of_its_file_is_absent(patch):
+    """1009h, which the EDS names, does not exist."""
+
+    def make(good):
+        return lambda self, index, *rest: None if index == 0x1009 else good(self, index, *rest)
+
+    _wrap(patch, object_dictionary.ObjectDictionary, "get", make)

@@ -49,9 +49,18 @@ def _variable(index: str, name: str, data_type: int, default: int) -> str:
 
 
 @cache
-def _eds(name: str, *, without: tuple[str, ...] = (), added: str = "") -> Path:
-    """Write our own EDS without some objects, and with others; return its path."""
+def _eds(
+    name: str,
+    *,
+    without: tuple[str, ...] = (),
+    added: str = "",
+    changed: tuple[tuple[str, str], ...] = (),
+) -> Path:
+    """Write our own EDS without some objects, with others, or changed; return its path."""
     text = OWN_EDS.read_text()
+    for old, new in changed:
+        assert old in text
+        text = text.replace(old, new)
     for index in without:
         text = re.sub(rf"\n\[{index}(sub\w+)?\]\n.*?(?=\n\[)", "", text, flags=re.DOTALL)
         text = re.sub(rf"^\d+=0x{index}\n", "", text, flags=re.MULTILINE)
@@ -65,6 +74,23 @@ _MORE: Final = (
     _variable("6079", "DC link circuit voltage", 7, 0),
     _variable("60FC", "Position demand internal value", 4, 0),
 )
+_UNUSUAL: Final = """
+[606D]
+ParameterName=Velocity window, in a byte and without a default
+ObjectType=0x7
+DataType=0x0005
+AccessType=rw
+PDOMapping=0
+
+[2000]
+ParameterName=Name of the axis
+ObjectType=0x7
+DataType=0x0009
+AccessType=rw
+DefaultValue=left
+PDOMapping=0
+"""
+_BITS: Final = (("Dummy0001=0", "Dummy0001=1"), ("Granularity=8", "Granularity=1"))
 _RPM: Final = _variable("608C", "Velocity dimension index", 5, 0xA4)
 _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
@@ -171,6 +197,7 @@ DRIVES: dict[str, str] = {
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
         "switches = { index_pulse = false }"
     ),
+    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_BITS)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
@@ -206,6 +233,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
     "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
+    "unusual file": ("PDO-10", "PDO-09", "OD-09"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{

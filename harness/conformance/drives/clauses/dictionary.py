@@ -1,13 +1,16 @@
 """Object dictionary: mandatory objects, SDO abort codes, modes, parameter storage."""
 
 import struct
+from contextlib import suppress
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.device_file import StatedObject
+from motorhil.harness.conformance.drives.drive import ABSENT, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Mode
+from motorhil.harness.conformance.drives.objects import Entry, Mode
 
 _CIA_301: Final = "CiA 301, 7.2.4.3.17, SDO abort codes"
 _PROFILE: Final = 402
@@ -17,6 +20,7 @@ _UNUSED_INDICES: Final = (_UNUSED_INDEX, 0x5FFA, 0x4FF7, 0x2FFB)
 _SAVE: Final = int.from_bytes(b"save", "little")
 _LOAD: Final = int.from_bytes(b"load", "little")
 _PERIOD_MS: Final = 50  # of a stored heartbeat
+_NO_DATA: Final = (0x0601_0001, 0x0601_0000)
 _NO_OBJECT: Final = 0x0602_0000
 _NO_SUBINDEX: Final = 0x0609_0011
 _READ_ONLY: Final = (0x0601_0002, 0x0601_0000)
@@ -188,3 +192,59 @@ def sizes_of_objects(bench: DriveBench) -> None:
         is_right = size == wanted or size == _EXPEDITED > wanted
         drive.expect(is_right, f"upload of {entry}", f"{wanted} bytes", f"{size} bytes")
     drive.expect(found > 0, "standard objects", "some that can be read", "none")
+
+
+@drive_clause(
+    "OD-09", Level.L0, source="CiA 306, EDS: DataType, AccessType; CiA 301, 7.2.4.3.17, 7.4.7"
+)
+def dictionary_is_that_of_its_file(bench: DriveBench) -> None:
+    """Each object of the drive's EDS is there, with its size, and read or written as it says."""
+    drive = bench.drive
+    for one in bench.dictionary().objects:
+        entry = Entry(one.index, one.subindex, "I", one.name)
+        code = drive.refusal(one.index, one.subindex)
+        what, seen = f"upload of {entry}, {one.access} in the EDS", f"{code:08X}h"
+        if one.access == "wo":
+            drive.expect(code in _NO_DATA, what, _codes(_NO_DATA), seen, "it can be read")
+            continue
+        drive.expect(code not in ABSENT, what, "its value", seen, "it is absent")
+        is_fixed = one.access in ("ro", "const")
+        if not code and one.is_text and not is_fixed and not bench.is_real:
+            _expect_text_again(drive, one)
+        if code or not one.size:
+            continue
+        size = drive.size_of(entry)
+        is_right = size == one.size or size == _EXPEDITED > one.size
+        drive.expect(is_right, what, f"{one.size} bytes", f"{size}", "another data type")
+        if is_fixed:
+            code = drive.refusal(one.index, one.subindex, bytes(one.size))
+            what, seen = f"download to {entry}, {one.access} in the EDS", f"{code:08X}h"
+            drive.expect(code in _READ_ONLY, what, _codes(_READ_ONLY), seen, "it can be written")
+        elif not bench.is_real:
+            _expect_limits(drive, one)
+
+
+def _expect_text_again(drive: Drive, stated: StatedObject) -> None:
+    """Expect a text that can be written to be taken, and to be kept."""
+    place = stated.index, stated.subindex
+    for wanted in (b"another", drive.upload(*place)):
+        code = drive.refusal(*place, wanted)
+        what = f"download of {wanted!r} to {stated.index:04X}h:{stated.subindex:02X}"
+        if code and wanted == b"another":
+            continue  # the drive may limit its texts
+        drive.expect(not code, what, "accepted: it was there before", f"{code:08X}h")
+        seen = drive.upload(*place)
+        drive.expect(seen == wanted, what, f"{wanted!r}", f"{seen!r}")
+
+
+def _expect_limits(drive: Drive, stated: StatedObject) -> None:
+    """Expect values beyond LowLimit and HighLimit to be refused, if the data type holds them."""
+    for limit, step in ((stated.low, -1), (stated.high, 1)):
+        if limit is None:
+            continue
+        with suppress(OverflowError):
+            data = (limit + step).to_bytes(stated.size, "little", signed=stated.is_signed)
+            code = drive.refusal(stated.index, stated.subindex, data)
+            what = f"{stated.index:04X}h:{stated.subindex:02X} = {limit + step}"
+            what = f"{what}, limit {limit} in the EDS"
+            drive.expect(code != 0, what, "an abort code", "accepted")
