@@ -464,6 +464,8 @@ def full_voltage_limits_speed(bench: DriveBench) -> None:
             if sign * speed > 0.0 and abs(speed - before) < 1e-4 * abs(speed):
                 break
             drive.quiet(0.1)
+        else:
+            raise NotApplicable(f"6071h = {sign * torque}: the motor speeds up for 10 s")
         against = (_friction(plant) + sign * plant.load_torque_n_m) / ratio
         wanted = (plant.supply_v - ohm * against / k) / (k + ohm * viscous / k) / ratio
         what = f"6071h = {sign * torque}, supply of {plant.supply_v:g} V"
