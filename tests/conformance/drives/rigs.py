@@ -221,7 +221,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "weak supply": ("PLANT-03", "PP-01"),
     "end stops": ("PLANT-04", "TQ-01"),
     "elastic with end stops": ("PLANT-04",),
-    "pendulum": ("PLANT-05",),
+    "pendulum": ("PLANT-05", "IP-01", "GAIN-01"),
     "elastic pendulum": ("PLANT-05",),
     "sticky": ("PLANT-06", "PP-01", "PV-01"),
     "cogging": ("PLANT-07", "PP-01"),
@@ -244,6 +244,8 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "quirk stale_target_reached": ("PP-05", *_OF_QUIRKS[:2], "CSP-01", "LSW-01", *_QUEUED),
 }
 """The clauses for drives that differ in few points; all others have all clauses."""
+TRULY_ACCUSED: Final = ("play", "unusual file")
+"""Drives of which other clauses tell the truth: an undamped load never rests; 606Dh has a byte."""
 
 
 def text_of(keys: str = "") -> str:

@@ -493,6 +493,7 @@ def interpolated_position(bench: DriveBench) -> None:
     step = 0.25 * pace.speed * SYNC_S
     operational(drive)
     drive.enable(Mode.IP)
+    drive.quiet(2.0 * pace.ramp_s)  # a load falls until the drive is enabled
     for has_sync in (False, True):
         start = drive.read(od.POSITION)
         word = drive.statusword()

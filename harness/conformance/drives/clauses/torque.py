@@ -96,13 +96,15 @@ def torque_mode_has_limits(bench: DriveBench) -> None:
     if limit_rpm > _RPM_MAX:
         raise NotApplicable(f"608Fh: 6081h would be {2 * limit_rpm} rpm of the motor")
     limit = limit_rpm * turn / 60.0 / drive.units().velocity
-    drive.set(od.MOTOR_SPEED_MAX, limit_rpm)
+    own_rpm = drive.read(od.MOTOR_SPEED_MAX)
     for sign in (1, -1):
+        drive.set(od.MOTOR_SPEED_MAX, own_rpm)  # a lower limit can cut the torque before it
         drive.write(od.TARGET_TORQUE, sign * torque)
         drive.quiet(0.01)
         word = drive.statusword()
         what = f"6071h = {sign * torque} below 6072h"
         drive.expect(not word & od.INTERNAL_LIMIT, what, "bit 11 = 0", f"{word:04X}h")
+        drive.set(od.MOTOR_SPEED_MAX, limit_rpm)
         drive.watch_to(od.VELOCITY, round(sign * 0.95 * limit), _longest_s(pace), sign=sign)
         drive.quiet(pace.ramp_s)
         what = f"6071h = {sign * torque}, 6080h = {limit_rpm} rpm"
