@@ -197,17 +197,6 @@ class PdsFsa:
         self.state = end
         self.taken[transition] += 1
 
-    def write_controlword(self, word: int) -> list[int]:
-        """Take all transitions a controlword causes without delay, and return their numbers."""
-        command = self.command(word)
-        taken: list[int] = []
-        transition = self.asked(command)
-        while transition != NO_TRANSITION:
-            self.take(transition)
-            taken.append(transition)
-            transition = self.asked(command)
-        return taken
-
 
 def compose(
     state: PdsState, mode_bits: int, voltage: bool, remote: bool, limit: bool, warning: bool

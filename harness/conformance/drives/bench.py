@@ -6,11 +6,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, final
 
+from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.emulators.settings.tables import plant_of
 from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.benches.rig_bench import TimeIsUp
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.drives.client import Client
+from motorhil.harness.conformance.drives.device_file import DeviceFile, read_file
 from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.rig.config.conformance import Facts
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
@@ -46,11 +48,14 @@ class DriveBench(Protocol):
     def require_stated(self, table: str, *keys: str) -> None:
         """Raise NotApplicable unless the rig states these keys of a table of the drive."""
 
+    def dictionary(self) -> DeviceFile:
+        """Return the drive's EDS; raise NotApplicable without one."""
+
     def true_position_rad(self) -> float:
         """Return the position of the output; raise NotApplicable if the bench does not know it."""
 
     def truth(self, name: str) -> float:
-        """Return a true value of the motor; raise NotApplicable if there is none."""
+        """Return a true value of the motor; raise NotApplicable without one."""
 
     def plant(self) -> Mapping[str, float]:
         """Return all numbers of the plant that the rig states; raise NotApplicable if none is."""
@@ -76,7 +81,12 @@ class _Bench:
     def __init__(self, description: RigDescription, controller: str, seed: int) -> None:
         self.facts: Facts = description.conformance
         self.seed = seed
-        self.stated: Mapping[str, Any] = description.controllers[controller].settings
+        described = description.controllers[controller]
+        self.stated: Mapping[str, Any] = described.settings
+        own = OWN_EDS if described.kind == "cia402" and not self.is_real else None
+        self._node_id = node_of(described)
+        eds = self.stated.get("eds")
+        self._eds = description.folder / eds if isinstance(eds, str) else own
 
     def stimulate(self, name: str, value: float) -> None:
         """Raise NotApplicable: the inputs of a real drive are out of reach."""
@@ -87,6 +97,12 @@ class _Bench:
         for key in keys:
             if key not in self.stated.get(table, {}):
                 raise NotApplicable(f"the rig does not state {table}.{key} of the drive")
+
+    def dictionary(self) -> DeviceFile:
+        """Return the drive's EDS."""
+        if self._eds is None:
+            raise NotApplicable("the rig states no EDS of the drive")
+        return read_file(self._eds, self._node_id)
 
     def true_position_rad(self) -> float:
         """Return the true position of the output [rad]."""

@@ -187,6 +187,10 @@ class Drive:
         except SdoAbortedError:
             return None
 
+    def upload(self, index: int, subindex: int) -> bytes:
+        """Upload an object that is no number."""
+        return bytes(self._sdo.upload(index, subindex))
+
     def _upload(self, entry: Entry) -> int:
         data = self._sdo.upload(entry.index, entry.subindex)
         size = struct.calcsize(entry.code)

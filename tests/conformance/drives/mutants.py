@@ -32,13 +32,21 @@ from motorhil.emulators.cia402.modes.interpolated_position import InterpolatedPo
 from motorhil.emulators.cia402.modes.profile_position import ProfilePosition
 from motorhil.emulators.cia402.modes.profile_velocity_torque import ProfileTorque, ProfileVelocity
 from motorhil.emulators.cia402.objects import mode_objects, units
+from motorhil.emulators.cia402.objects.dictionary import GainWatch
 from motorhil.emulators.cia402.objects.mode_objects import HomingObjects, IpObjects
 from motorhil.emulators.cia402.objects.motion import MotionObjects, OptionCodes, WindowObjects
 from motorhil.emulators.cia402.objects.servo import ServoObjects
 from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObjects
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
-from motorhil.emulators.firmware import clock, flags, nonlinear_servo, nonlinear_tables, profile
+from motorhil.emulators.firmware import (
+    clock,
+    flags,
+    nonlinear_servo,
+    nonlinear_tables,
+    profile,
+    servo,
+)
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
 from tests.conformance.drives.rigs import DRIVES
@@ -1550,3 +1558,73 @@ def numbers_are_sent_in_bytes_that_suffice(patch):
         return uploaded
 
     _wrap(patch, object_dictionary.Variable, "upload", make)
+
+
+@mutant("IP-04")
+def records_pass_the_position_limits(patch):
+    """In ip, records beyond 607Dh are followed."""
+
+    def take(self):
+        ip = self.objects.ip
+        if ip.is_empty():
+            return False
+        self.axis.follow(ip.take_inc(), self.over_ns(), has_target=ip.is_empty())
+        return True
+
+    patch.setattr(InterpolatedPosition, "_take", take)
+
+
+@mutant("FAC-02", 'objects = { "6091h:2" = 0 }')
+def gear_has_no_divisor(patch):
+    """6091h:2 is 0."""
+
+
+@mutant("TQ-07")
+def limit_switch_heeds_the_torque_alone(patch):
+    """In tq, a limit switch stops only a torque into it, not a motion."""
+
+    def make(good):
+        def bar(self, backward, forward, deceleration_inc_s2):
+            if self._mode >= servo.TORQUE:
+                backward, forward = backward and self._way < 0.0, forward and self._way > 0.0
+            good(self, backward, forward, deceleration_inc_s2)
+
+        return bar
+
+    _wrap(patch, Axis, "bar", make)
+
+
+@mutant("GAIN-01")
+def gains_are_stored_only(patch):
+    """Gains can be written, and have no effect."""
+    _always(patch, GainWatch, "write", 0)
+
+
+@mutant("PLANT-10")
+def friction_helps_at_full_voltage(patch):
+    """At full voltage, the motor has no friction."""
+    _wrap(patch, servo, "steps", lambda good: lambda table, *rest: good((*table[:-1], 0.0), *rest))
+
+
+@mutant("PLANT-11", DRIVES["backlash"])
+def load_has_twice_the_play(patch):
+    """The backlash is twice as wide as stated."""
+
+    def make(good):
+        def init(self, *args, **kwargs):
+            good(self, *args, **kwargs)
+            self.gap *= 2.0
+
+        return init
+
+    _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("OD-09")
+def object_of_its_file_is_absent(patch):
+    """1009h, which the EDS names, does not exist."""
+
+    def make(good):
+        return lambda self, index, *rest: None if index == 0x1009 else good(self, index, *rest)
+
+    _wrap(patch, object_dictionary.ObjectDictionary, "get", make)

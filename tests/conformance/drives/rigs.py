@@ -49,9 +49,18 @@ def _variable(index: str, name: str, data_type: int, default: int) -> str:
 
 
 @cache
-def _eds(name: str, *, without: tuple[str, ...] = (), added: str = "") -> Path:
-    """Write our own EDS without some objects, and with others; return its path."""
+def _eds(
+    name: str,
+    *,
+    without: tuple[str, ...] = (),
+    added: str = "",
+    changed: tuple[tuple[str, str], ...] = (),
+) -> Path:
+    """Write our own EDS without some objects, with others, or changed; return its path."""
     text = OWN_EDS.read_text()
+    for old, new in changed:
+        assert old in text
+        text = text.replace(old, new)
     for index in without:
         text = re.sub(rf"\n\[{index}(sub\w+)?\]\n.*?(?=\n\[)", "", text, flags=re.DOTALL)
         text = re.sub(rf"^\d+=0x{index}\n", "", text, flags=re.MULTILINE)
@@ -65,6 +74,23 @@ _MORE: Final = (
     _variable("6079", "DC link circuit voltage", 7, 0),
     _variable("60FC", "Position demand internal value", 4, 0),
 )
+_UNUSUAL: Final = """
+[606D]
+ParameterName=Velocity window, in a byte and without a default
+ObjectType=0x7
+DataType=0x0005
+AccessType=rw
+PDOMapping=0
+
+[2000]
+ParameterName=Name of the axis
+ObjectType=0x7
+DataType=0x0009
+AccessType=rw
+DefaultValue=left
+PDOMapping=0
+"""
+_BITS: Final = (("Dummy0001=0", "Dummy0001=1"), ("Granularity=8", "Granularity=1"))
 _RPM: Final = _variable("608C", "Velocity dimension index", 5, 0xA4)
 _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
@@ -104,6 +130,7 @@ DRIVES: dict[str, str] = {
         " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
         "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3 }"
     ),
+    "play": 'plant = { preset = "wheel_60w", backlash_rad = 0.0003 }',
     "warm": (
         'plant = { preset = "wheel_60w", ambient_c = 30.0, copper_coefficient_1_k = 0.0039,'
         " thermal_resistance_winding_housing_k_w = 2.0, thermal_time_constant_winding_s = 0.6,"
@@ -170,6 +197,7 @@ DRIVES: dict[str, str] = {
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
         "switches = { index_pulse = false }"
     ),
+    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_BITS)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
@@ -182,7 +210,8 @@ _OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
 CLAUSES: dict[str, tuple[str, ...]] = {
     "switches": (*_OF_SWITCHES, "TP-01", "TP-02", "TP-04", "DIN-01", "LSW-01", "LSW-02", "LIM-01"),
     "units": (*_OF_UNITS, "PV-05", "LIM-01", "RNG-01", "CSV-02", "PP-09", "HOME-07", "PV-08"),
-    "backlash": ("TP-04", "HOME-06", "PP-01", "PV-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    "backlash": ("PLANT-11", "TP-04", "HOME-06", "PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    "play": ("PP-01", "HOME-06"),
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
     "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),
     "sync supervision": ("CYC-01", "ERR-07", "CSP-01", "CSP-06", "IP-01", "IP-02", "CSV-01"),
@@ -192,7 +221,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "weak supply": ("PLANT-03", "PP-01"),
     "end stops": ("PLANT-04", "TQ-01"),
     "elastic with end stops": ("PLANT-04",),
-    "pendulum": ("PLANT-05",),
+    "pendulum": ("PLANT-05", "IP-01", "GAIN-01"),
     "elastic pendulum": ("PLANT-05",),
     "sticky": ("PLANT-06", "PP-01", "PV-01"),
     "cogging": ("PLANT-07", "PP-01"),
@@ -204,6 +233,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
     "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
+    "unusual file": ("PDO-10", "PDO-09", "OD-09"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{
@@ -214,6 +244,8 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "quirk stale_target_reached": ("PP-05", *_OF_QUIRKS[:2], "CSP-01", "LSW-01", *_QUEUED),
 }
 """The clauses for drives that differ in few points; all others have all clauses."""
+TRULY_ACCUSED: Final = ("play", "unusual file")
+"""Drives of which other clauses tell the truth: an undamped load never rests; 606Dh has a byte."""
 
 
 def text_of(keys: str = "") -> str:

@@ -493,6 +493,7 @@ def interpolated_position(bench: DriveBench) -> None:
     step = 0.25 * pace.speed * SYNC_S
     operational(drive)
     drive.enable(Mode.IP)
+    drive.quiet(2.0 * pace.ramp_s)  # a load falls until the drive is enabled
     for has_sync in (False, True):
         start = drive.read(od.POSITION)
         word = drive.statusword()
@@ -519,6 +520,8 @@ def interpolated_position(bench: DriveBench) -> None:
             drive.expect(is_paced, what, expected, seen, "60C2h is not the pace")
         reached = drive.until(lambda word: word & od.TARGET_REACHED != 0, STATE_S)
         drive.expect(reached is not None, what, "bit 10 = 1 in the end", "0")
+        word = drive.statusword()
+        drive.expect(not word & od.INTERNAL_LIMIT, what, "bit 11 = 0", f"{word:04X}h")
         _let_pass(drive, has_sync)
         drive.near(od.POSITION, last, drive.window(), what, "a record is lost")
         for place in range(1, 3):  # a running interpolation goes on with the next records
@@ -611,3 +614,37 @@ def interpolation_buffer(bench: DriveBench) -> None:
             code = drive.offer_value(od.IP_SIZE, wrong)
             drive.expect(code != 0, f"60C4h:2 = {wrong}", "an abort code", "accepted")
         drive.write(od.IP_SIZE, most)
+
+
+@drive_clause("IP-04", Level.L4, source=f"{_IP}, 607Dh; statusword bit 11")
+def position_limits_in_ip(bench: DriveBench) -> None:
+    """A record of ip beyond 607Dh stops at it with bit 11 = 1, is refused, or is a fault."""
+    drive = bench.drive
+    drive.require_mode(Mode.IP)
+    drive.require(od.IP_RECORD, od.PERIOD, od.PERIOD_INDEX, od.LIMIT_MIN, od.LIMIT_MAX)
+    _empty_buffer(drive)
+    pace = drive.pace()
+    drive.set(od.PERIOD_INDEX, -3)
+    drive.set(od.PERIOD, 5 * _PERIOD_MS)
+    start, home = drive.read(od.POSITION), drive.find(od.HOME_OFFSET) or 0
+    step = round(1.25 * pace.speed * SYNC_S)
+    drive.set(od.LIMIT_MIN, start - 2 * step + home)
+    drive.set(od.LIMIT_MAX, start + 2 * step + home)
+    drive.enable(Mode.IP)
+    for sign in (1, -1):
+        begin = drive.read(od.POSITION)
+        end = start + sign * 3 * step
+        count = max(1, round(abs(end - begin) / step))
+        drive.command(od.ENABLE | _ENABLE_IP)
+        for place in range(1, count + 1):
+            record = round(begin + (end - begin) * place / count)
+            if drive.offer_value(od.IP_RECORD, record):
+                return
+        drive.quiet(5.0 * SYNC_S * (count + 2) + 0.3)
+        word = drive.statusword()
+        if od.state_of(word) is not State.OPERATION_ENABLED:
+            return
+        what = f"60C1h:1 = {end} beyond 607Dh = {start + sign * 2 * step}"
+        drive.near(od.POSITION, start + sign * 2 * step, drive.window(), what, "607Dh is ignored")
+        drive.expect(bool(word & od.INTERNAL_LIMIT), what, "bit 11 = 1", f"{word:04X}h")
+        drive.command(od.ENABLE)

@@ -1,13 +1,16 @@
 """Object dictionary: mandatory objects, SDO abort codes, modes, parameter storage."""
 
 import struct
+from contextlib import suppress
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.device_file import StatedObject
+from motorhil.harness.conformance.drives.drive import ABSENT, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Mode
+from motorhil.harness.conformance.drives.objects import Entry, Mode
 
 _CIA_301: Final = "CiA 301, 7.2.4.3.17, SDO abort codes"
 _PROFILE: Final = 402
@@ -16,6 +19,8 @@ _UNUSED_INDEX: Final = 0x5FFE  # manufacturer-specific; a drive that has it is a
 _UNUSED_INDICES: Final = (_UNUSED_INDEX, 0x5FFA, 0x4FF7, 0x2FFB)
 _SAVE: Final = int.from_bytes(b"save", "little")
 _LOAD: Final = int.from_bytes(b"load", "little")
+_PERIOD_MS: Final = 50  # of a stored heartbeat
+_NO_DATA: Final = (0x0601_0001, 0x0601_0000)
 _NO_OBJECT: Final = 0x0602_0000
 _NO_SUBINDEX: Final = 0x0609_0011
 _READ_ONLY: Final = (0x0601_0002, 0x0601_0000)
@@ -135,7 +140,7 @@ def mode_is_selected_during_halt(bench: DriveBench) -> None:
 
 @drive_clause("OD-06", Level.L1, source="CiA 301, 7.5.2.13 and 7.5.2.14, 1010h and 1011h")
 def parameters_are_stored(bench: DriveBench) -> None:
-    """1010h stores with the signature "save" only; 1011h restores defaults at the next reset."""
+    """1010h stores with "save" only, 1017h too; 1011h restores defaults at the next reset."""
     drive = bench.drive
     drive.require(od.STORE_ALL, od.RESTORE_ALL, od.PROFILE_VELOCITY)
     entry = od.PROFILE_VELOCITY
@@ -147,8 +152,17 @@ def parameters_are_stored(bench: DriveBench) -> None:
     if bench.is_real:
         raise NotApplicable("a real drive keeps what it has stored: only signatures were checked")
     drive.write(entry, default + 1)
+    own_ms = drive.find(od.HEARTBEAT_PRODUCER)
+    if own_ms is not None:
+        drive.write(od.HEARTBEAT_PRODUCER, _PERIOD_MS)
     drive.write(od.STORE_ALL, _SAVE)
     drive.reset()
+    begin_ns = drive.now_ns
+    drive.quiet(5.5 * _PERIOD_MS / 1e3)
+    count = len(drive.client.heard(drive.error_control_id, begin_ns))
+    what = f"reset, stored 1017h = {_PERIOD_MS} ms, for {5.5 * _PERIOD_MS:g} ms"
+    is_sent = own_ms is None or 4 <= count <= 7
+    drive.expect(is_sent, what, "5 heartbeats, 1 or 2 more or less", f"{count}", "1017h waits")
     stored = drive.read(entry)
     expected = f"{default + 1}, which was stored"
     drive.expect(stored == default + 1, f"{entry} after reset", expected, f"{stored}", "not stored")
@@ -157,8 +171,9 @@ def parameters_are_stored(bench: DriveBench) -> None:
     expected = f"{default + 1} until the reset"
     drive.expect(kept == default + 1, f"{entry} after 1011h", expected, f"{kept}")
     drive.reset()
-    restored = drive.read(entry)
-    drive.expect(restored == default, f"{entry} after reset", f"{default}", f"{restored}")
+    drive.near(entry, default, 0, "after 1011h and a reset")
+    if own_ms is not None:
+        drive.near(od.HEARTBEAT_PRODUCER, own_ms, 0, "after 1011h and a reset")
 
 
 @drive_clause(
@@ -177,3 +192,59 @@ def sizes_of_objects(bench: DriveBench) -> None:
         is_right = size == wanted or size == _EXPEDITED > wanted
         drive.expect(is_right, f"upload of {entry}", f"{wanted} bytes", f"{size} bytes")
     drive.expect(found > 0, "standard objects", "some that can be read", "none")
+
+
+@drive_clause(
+    "OD-09", Level.L0, source="CiA 306, EDS: DataType, AccessType; CiA 301, 7.2.4.3.17, 7.4.7"
+)
+def dictionary_is_that_of_its_file(bench: DriveBench) -> None:
+    """Each object of the drive's EDS is there, with its size, and read or written as it says."""
+    drive = bench.drive
+    for one in bench.dictionary().objects:
+        entry = Entry(one.index, one.subindex, "I", one.name)
+        code = drive.refusal(one.index, one.subindex)
+        what, seen = f"upload of {entry}, {one.access} in the EDS", f"{code:08X}h"
+        if one.access == "wo":
+            drive.expect(code in _NO_DATA, what, _codes(_NO_DATA), seen, "it can be read")
+            continue
+        drive.expect(code not in ABSENT, what, "its value", seen, "it is absent")
+        is_fixed = one.access in ("ro", "const")
+        if not code and one.is_text and not is_fixed and not bench.is_real:
+            _expect_text_again(drive, one)
+        if code or not one.size:
+            continue
+        size = drive.size_of(entry)
+        is_right = size == one.size or size == _EXPEDITED > one.size
+        drive.expect(is_right, what, f"{one.size} bytes", f"{size}", "another data type")
+        if is_fixed:
+            code = drive.refusal(one.index, one.subindex, bytes(one.size))
+            what, seen = f"download to {entry}, {one.access} in the EDS", f"{code:08X}h"
+            drive.expect(code in _READ_ONLY, what, _codes(_READ_ONLY), seen, "it can be written")
+        elif not bench.is_real:
+            _expect_limits(drive, one)
+
+
+def _expect_text_again(drive: Drive, stated: StatedObject) -> None:
+    """Expect a text that can be written to be taken, and to be kept."""
+    place = stated.index, stated.subindex
+    for wanted in (b"another", drive.upload(*place)):
+        code = drive.refusal(*place, wanted)
+        what = f"download of {wanted!r} to {stated.index:04X}h:{stated.subindex:02X}"
+        if code and wanted == b"another":
+            continue  # the drive may limit its texts
+        drive.expect(not code, what, "accepted: it was there before", f"{code:08X}h")
+        seen = drive.upload(*place)
+        drive.expect(seen == wanted, what, f"{wanted!r}", f"{seen!r}")
+
+
+def _expect_limits(drive: Drive, stated: StatedObject) -> None:
+    """Expect values beyond LowLimit and HighLimit to be refused, if the data type holds them."""
+    for limit, step in ((stated.low, -1), (stated.high, 1)):
+        if limit is None:
+            continue
+        with suppress(OverflowError):
+            data = (limit + step).to_bytes(stated.size, "little", signed=stated.is_signed)
+            code = drive.refusal(stated.index, stated.subindex, data)
+            what = f"{stated.index:04X}h:{stated.subindex:02X} = {limit + step}"
+            what = f"{what}, limit {limit} in the EDS"
+            drive.expect(code != 0, what, "an abort code", "accepted")

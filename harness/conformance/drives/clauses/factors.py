@@ -91,6 +91,24 @@ def factors_have_effect(bench: DriveBench) -> None:
     drive.near(od.POSITION, 2 * place, 4, "6092h:1 twice as large", "6092h is ignored")
 
 
+@drive_clause(
+    "FAC-02", Level.L1, source="CiA 402-2, factor group: 608Fh, 6091h, 6092h, 6096h, 6097h"
+)
+def ratios_are_stated(bench: DriveBench) -> None:
+    """No numerator or divisor of 608Fh, 6091h, 6092h, 6096h and 6097h is 0."""
+    drive = bench.drive
+    found = {
+        entry: value
+        for index in (0x608F, 0x6091, 0x6092, 0x6096, 0x6097)
+        for entry in (Entry(index, 1, "I", "numerator"), Entry(index, 2, "I", "divisor"))
+        if (value := drive.find(entry)) is not None
+    }
+    if not found:
+        raise NotApplicable("the drive has no factors")
+    for entry, value in found.items():
+        drive.expect(value != 0, f"{entry}", "at least 1", "0", "its ratio is undefined")
+
+
 def _travel(drive: Drive, pace: Pace, target: int, bits: int, size: int) -> int:
     """Make a move; return the way of 6064h, counted beyond its range."""
     before, way = drive.read(od.POSITION), 0

@@ -268,6 +268,25 @@ def home_at_next_index_pulse(bench: DriveBench) -> None:
     is_one_turn = abs(apart - turn) <= drive.window() and abs(again) <= drive.window()
     expected = f"index pulses {turn:.0f} apart"
     drive.expect(is_one_turn, "methods 33 and 34", expected, f"{apart:.0f}, {again:.0f}")
+    _expect_a_whole_turn(bench, pace, per_rad, homes[1])
+
+
+def _expect_a_whole_turn(bench: DriveBench, pace: Pace, per_rad: float, index: float) -> None:
+    """Expect an index pulse that is a whole turn away, sought as fast as the turn allows."""
+    drive = bench.drive
+    turn = drive.turn()
+    fast = max(1, round(pace.velocity * min(1.0, (turn / pace.distance(0.0)) ** 0.5 / 2.0)))
+    if drive.find(od.ZERO_SPEED) is None:
+        return
+    drive.write(od.ZERO_SPEED, fast)
+    for method, sign in ((33, -1), (34, 1)):
+        beside = sign * (drive.window() + round(turn / 20.0))
+        _move_to(bench, pace, (index + beside) / per_rad, per_rad)
+        home = _home_rad(bench, method, 0, per_rad) * per_rad
+        what = f"home by method {method}, {abs(beside)} beyond an index pulse, 6099h:2 = {fast}"
+        is_next = abs(home - index - sign * turn) <= 2 * drive.window()
+        expected = f"home {turn:.0f} beyond that"
+        drive.expect(is_next, what, expected, f"{sign * (home - index):.0f}", "given up too soon")
 
 
 @drive_clause("HOME-07", Level.L2, source=f"{_HM}, 6099h, 609Ah; controlword bits 4 and 8")

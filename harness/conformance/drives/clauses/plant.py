@@ -10,7 +10,7 @@ from math import asin, cos, hypot, pi, sin
 from types import SimpleNamespace
 from typing import Final
 
-from motorhil.harness.conformance.clause import Level
+from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.drive import Drive
@@ -30,6 +30,7 @@ _COPPER_C: Final = 25.0
 _HARD: Final = 0.6  # of the largest current
 _LOAD_N_M: Final = 1.0
 _FIRST: Final = 300  # steps after which an empty I2t stays empty
+_RPM_MAX: Final = 1_000_000
 _PUSH: Final = 1.2  # of the load at which the motor breaks away
 
 
@@ -434,6 +435,71 @@ def load_has_friction(bench: DriveBench) -> None:
             _near(drive, track[-1][1], wanted, 0.03 * abs(wanted), what, "rad/s")
         track = _free_track(bench, -0.9 * sign * _friction(plant), 5.0)
         _near(drive, track[-1][1], 0.0, 0.0, "a load below friction", "rad/s")
+    bench.stimulate("load_torque_n_m", 0.0)
+
+
+@drive_clause("PLANT-10", Level.L2, source=f"{_MODEL}supply_v, resistance_ohm and friction")
+def full_voltage_limits_speed(bench: DriveBench) -> None:
+    """At full voltage the motor turns in both directions at the speed that friction lets it."""
+    plant = _plant(bench)
+    drive = bench.drive
+    drive.require_mode(Mode.TQ)
+    drive.require(od.TARGET_TORQUE, od.TORQUE_MAX)
+    if plant.source_resistance_ohm or plant.gravity_torque_n_m or plant.static_friction_n_m:
+        raise NotApplicable("voltage or load change with speed: see the other clauses")
+    drive.pace()
+    if drive.find(od.MOTOR_SPEED_MAX) is not None:
+        drive.set(od.MOTOR_SPEED_MAX, _RPM_MAX)
+    torque, ratio = drive.read(od.TORQUE_MAX), abs(plant.gear_ratio)
+    drive.write(od.TARGET_TORQUE, 0)
+    drive.enable(Mode.TQ)
+    ohm, k = plant.resistance_ohm, plant.torque_constant_n_m_a
+    viscous = plant.viscous_friction_n_m_s_rad
+    viscous += plant.output_viscous_friction_n_m_s_rad / ratio**2
+    for sign in (1, -1):
+        drive.write(od.TARGET_TORQUE, sign * min(torque, 0x7FFF))
+        speed = 0.0
+        for _ in range(100):
+            before, speed = speed, bench.truth("velocity_rad_s")
+            if sign * speed > 0.0 and abs(speed - before) < 1e-4 * abs(speed):
+                break
+            drive.quiet(0.1)
+        else:
+            raise NotApplicable(f"6071h = {sign * torque}: the motor speeds up for 10 s")
+        against = (_friction(plant) + sign * plant.load_torque_n_m) / ratio
+        wanted = (plant.supply_v - ohm * against / k) / (k + ohm * viscous / k) / ratio
+        what = f"6071h = {sign * torque}, supply of {plant.supply_v:g} V"
+        _near(drive, sign * speed, wanted, 0.003 * wanted, what, "rad/s")
+
+
+@drive_clause("PLANT-11", Level.L2, source=f"{_MODEL}backlash_rad, damped")
+def load_has_play(bench: DriveBench) -> None:
+    """A load that is pushed to and fro at a motor that stands moves by the stated backlash."""
+    plant = _plant(bench, "backlash_rad", "coupling_damping_n_m_s_rad")
+    drive, ratio = _hold(bench), abs(plant.gear_ratio)
+    drive.quiet(0.5)
+    load_n_m = 2.0 * plant.output_coulomb_friction_n_m + _LOAD_N_M
+    for _ in range(2):
+        ends, motor = [], []
+        for sign in (1.0, -1.0):
+            track = _free_track(bench, -sign * load_n_m, 1.0)[-200:]
+            ends.append(sum(place for place, _ in track) / len(track))
+            motor.append(drive.read(od.POSITION))
+            spread = max(place for place, _ in track) - min(place for place, _ in track)
+            what, expected = f"{-sign * load_n_m:g} N·m at rest", "no motion beyond half the play"
+            is_still = spread <= 0.5 * plant.backlash_rad
+            drive.expect(
+                is_still, what, expected, f"{spread:.2g} rad", "the load rebounds for ever"
+            )
+        turned = (motor[0] - motor[1]) * drive.units().position_inc
+        turned_rad = turned / plant.encoder_increments_rev / ratio * 2.0 * pi
+        wanted = plant.backlash_rad + turned_rad
+        slack = 0.1 * plant.backlash_rad + 2.0 * pi / plant.encoder_increments_rev / ratio
+        if plant.coupling_stiffness_n_m_rad:
+            wanted += 2.0 * load_n_m / plant.coupling_stiffness_n_m_rad
+            slack += 2.2 * plant.output_coulomb_friction_n_m / plant.coupling_stiffness_n_m_rad
+        what = f"way of the load between {load_n_m:g} and -{load_n_m:g} N·m"
+        _near(drive, ends[0] - ends[1], wanted, slack, what, "rad")
     bench.stimulate("load_torque_n_m", 0.0)
 
 

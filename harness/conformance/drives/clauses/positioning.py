@@ -8,12 +8,18 @@ from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace, Sample
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Mode
+from motorhil.harness.conformance.drives.objects import Entry, Mode
 
 _PP: Final = "CiA 402-2 / IEC 61800-7-201, profile position mode"
 _CRUISE_S: Final = 0.2
 _WINDOW_MS: Final = 200
 _EARLY_S, _LATE_S = 0.02, 0.1
+_GAINS: Final = {
+    0x60F6: "torque control parameters",
+    0x60F9: "velocity control parameters",
+    0x60FB: "position control parameters",
+}
+_CODES: Final = {1: "B", 2: "H", 4: "I"}  # by the number of bytes
 _NO_WINDOW: Final = 0xFFFF_FFFF
 _SLOW_INC_S: Final = 500.0  # speed of a slow move [increments/s]
 
@@ -288,3 +294,60 @@ def slow_move_has_its_ramps(bench: DriveBench) -> None:
     seen = f"{max(steps):.1f} more than its speed allows"
     what = f"a move at 6081h = {velocity} on ramps of 0.5 s"
     drive.expect(max(steps) <= 4.0, what, "6062h without a step", seen, "a ramp is left out")
+
+
+def _gains(drive: Drive) -> dict[Entry, int]:
+    """Return the gains that can be written and halved, with their values."""
+    found = {}
+    for index, name in _GAINS.items():
+        for place in range(1, 9):
+            code = _CODES.get(drive.size_of(Entry(index, place, "B", name)) or 0)
+            if code is None:
+                continue
+            entry = Entry(index, place, code, name)
+            value = drive.read(entry)
+            if value > 1 and not drive.offer_value(entry, value):
+                found[entry] = value
+    return found
+
+
+def _lag(drive: Drive, pace: Pace, way: int) -> int:
+    """Enable pp and move, once the motor rests; return the largest following error."""
+    drive.enable(Mode.PP)
+    drive.quiet(2.0 * pace.ramp_s)
+    drive.offer(drive.read(od.POSITION) + way, od.IMMEDIATELY)
+    track = drive.watch(od.FOLLOWING_ERROR, lambda _: False, 2.0 * pace.ramp_s + 2.0 * _CRUISE_S)
+    drive.command(od.DISABLE_VOLTAGE)
+    return max(abs(one.value) for one in track)
+
+
+@drive_clause("GAIN-01", Level.L2, source="CiA 402-2, 60F6h, 60F9h, 60FBh: control parameter sets")
+def gains_have_effect(bench: DriveBench) -> None:
+    """With all its gains halved the motor lags otherwise, and with its own ones as before."""
+    drive = bench.drive
+    drive.require_mode(Mode.PP)
+    drive.require(od.FOLLOWING_ERROR)
+    if bench.is_real:
+        raise NotApplicable("half the gains of a real motor are not known to be stable")
+    gains = _gains(drive)
+    if not gains:
+        raise NotApplicable("the drive has no gains that can be written")
+    pace = drive.pace()
+    drive.offer_value(od.FOLLOWING_WINDOW, _NO_WINDOW)
+    way, lags = pace.distance(_CRUISE_S), []
+    for share, sign in ((1, 1), (2, -1), (1, 1)):
+        for entry, value in gains.items():
+            drive.write(entry, value // share)
+        lags.append(_lag(drive, pace, sign * way))
+    own, halved, again = lags
+    if own > way // 10:
+        raise NotApplicable(f"60F4h = {own} on a way of {way}: the motor cannot follow its ramps")
+    names = ", ".join(f"{entry.index:04X}h:{entry.subindex}" for entry in gains)
+    what = f"60F4h, {names} halved"
+    slack = 2 + own // 10
+    is_other = abs(halved - own) > slack
+    expected = f"another lag than {own} +- {slack}"
+    drive.expect(is_other, what, expected, f"{halved}", "the gains have no effect")
+    is_back = abs(again - own) < abs(halved - own)
+    expected = f"nearer to {own} than {halved}"
+    drive.expect(is_back, f"{what}, then as before", expected, f"{again}", "gains stay halved")

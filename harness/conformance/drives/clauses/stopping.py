@@ -15,6 +15,7 @@ _CONSUMER_MS: Final = 100
 _SLOW: Final = 4
 _HELD_S: Final = 0.3
 _TORQUE: Final = 60  # [1/1000 of 6076h]
+_NOISE: Final = 15  # of 6077h [1/1000 of 6076h]
 _RAMPS: Final = (od.DECELERATION, od.QUICK_DECELERATION)
 
 
@@ -256,7 +257,10 @@ def mode_begins_under_halt(bench: DriveBench) -> None:
         drive.write(entry, value)  # a cyclic mode obeys the next target
         seen = drive.watch_to(od.VELOCITY, pace.velocity // 4, 40.0 * pace.ramp_s)[-1].value
         expected = f"606Ch = {pace.velocity // 4} at least, without halt"
-        drive.expect(seen >= pace.velocity // 4, what, expected, f"{seen}", "halt stays")
+        torque = drive.find(od.TORQUE) if entry is od.TARGET_TORQUE else None
+        is_free = torque is not None and abs(torque - value) <= _NOISE  # friction limits its speed
+        is_going = seen >= pace.velocity // 4 or is_free
+        drive.expect(is_going, what, expected, f"{seen}", "halt stays")
         drive.command(od.ENABLE | od.HALT)
         drive.braked(pace.velocity // 4, _longest_s(pace), f"halt in {mode}")
     if not bench.is_real and drive.has_mode(Mode.CSP):

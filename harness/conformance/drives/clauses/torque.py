@@ -96,13 +96,15 @@ def torque_mode_has_limits(bench: DriveBench) -> None:
     if limit_rpm > _RPM_MAX:
         raise NotApplicable(f"608Fh: 6081h would be {2 * limit_rpm} rpm of the motor")
     limit = limit_rpm * turn / 60.0 / drive.units().velocity
-    drive.set(od.MOTOR_SPEED_MAX, limit_rpm)
+    own_rpm = drive.read(od.MOTOR_SPEED_MAX)
     for sign in (1, -1):
+        drive.set(od.MOTOR_SPEED_MAX, own_rpm)  # a lower limit can cut the torque before it
         drive.write(od.TARGET_TORQUE, sign * torque)
         drive.quiet(0.01)
         word = drive.statusword()
         what = f"6071h = {sign * torque} below 6072h"
         drive.expect(not word & od.INTERNAL_LIMIT, what, "bit 11 = 0", f"{word:04X}h")
+        drive.set(od.MOTOR_SPEED_MAX, limit_rpm)
         drive.watch_to(od.VELOCITY, round(sign * 0.95 * limit), _longest_s(pace), sign=sign)
         drive.quiet(pace.ramp_s)
         what = f"6071h = {sign * torque}, 6080h = {limit_rpm} rpm"
@@ -149,6 +151,39 @@ def torque_mode_halts(bench: DriveBench) -> None:
     drive.write(od.TARGET_TORQUE, 2 * torque)
     drive.quiet(0.3)
     drive.near(od.VELOCITY, 0, 1 + pace.velocity // 50, "6071h written during halt", "halt ends")
+
+
+@drive_clause("TQ-07", Level.L2, source=f"{_TQ}; digital inputs 60FDh, bits 0 and 1")
+def torque_mode_has_limit_switches(bench: DriveBench) -> None:
+    """A limit switch that stops the motor in tq does so against its torque too, and lets it back.
+
+    A load can drive the motor into the switch, while its torque points away from it.
+    """
+    drive, pace, torque = _start(bench, Mode.TQ)
+    for sign, name in ((1, "positive_limit"), (-1, "negative_limit")):
+        for share in (torque, -1):
+            bench.stimulate(name, -1)
+            drive.write(od.TARGET_TORQUE, sign * torque)
+            full = round(sign * pace.velocity / 2)
+            drive.watch_to(od.VELOCITY, full, _longest_s(pace), sign=sign)
+            drive.write(od.TARGET_TORQUE, sign * share)
+            velocity = sign * drive.read(od.VELOCITY)
+            if velocity <= pace.velocity // 4:
+                raise NotApplicable(f"6071h = {torque}: the motor turns at {velocity} only")
+            bench.stimulate(name, 1)
+            what = f"{name} on, in tq with 6071h = {sign * share}"
+            drive.quiet(velocity / pace.velocity * pace.ramp_s + 0.02)
+            left = drive.read(od.VELOCITY)
+            is_stopped = abs(left) <= 1 + pace.velocity // 20
+            if share == torque and not is_stopped:
+                raise NotApplicable("a limit switch does not stop the motor in tq")
+            expected = "rest after the ramp 6085h"
+            drive.expect(is_stopped, what, expected, f"606Ch = {left}", "its torque decides")
+        drive.write(od.TARGET_TORQUE, -sign * torque)
+        drive.quiet(pace.ramp_s)
+        away = -sign * drive.read(od.VELOCITY)
+        drive.expect(away > 0, what, "motion away from it", f"606Ch = {-sign * away}")
+        bench.stimulate(name, -1)
 
 
 @drive_clause("TQ-04", Level.L2, source=_LIMITS)

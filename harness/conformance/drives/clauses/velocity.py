@@ -5,7 +5,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
-from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace, slope
+from motorhil.harness.conformance.drives.drive import QUIET_S, STATE_S, Drive, Pace, slope
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, Mode
 
@@ -13,6 +13,7 @@ _PV: Final = "CiA 402-2 / IEC 61800-7-201, profile velocity mode"
 _FACTORS: Final = "CiA 402-2, factor group: 608Fh, 6091h, 6092h, 6096h"
 _TIME_MS: Final = 200
 _EARLY_S, _LATE_S = 0.03, 0.1
+_SOON_S: Final = 0.005  # for an emulated drive, in virtual time
 
 
 def _start(bench: DriveBench) -> tuple[Drive, Pace]:
@@ -157,8 +158,9 @@ def threshold_written_in_motion(bench: DriveBench) -> None:
     drive.write(od.TARGET_VELOCITY, velocity)
     drive.await_velocity(velocity, 2.0 * _longest_s(pace))
     for threshold, wanted in ((velocity // 2, False), (2 * velocity, True), (velocity // 2, False)):
-        drive.set(od.THRESHOLD, threshold)
         drive.quiet()
+        drive.set(od.THRESHOLD, threshold)
+        drive.quiet(QUIET_S if bench.is_real else _SOON_S)
         word = drive.statusword()
         what = f"606Ch = {velocity}, 606Fh = {threshold}"
         expected, cause = f"bit 12 = {int(wanted)}", "606Fh has its effect later"

@@ -56,7 +56,7 @@ def _replaced(mutant: Mutant, tree: ast.Module) -> bool:
     wanted = {
         (one.co_qualname, one.co_firstlineno): one
         for one in _codes(compile(tree, file, "exec"))
-        if one.co_qualname == mutant.scope
+        if _is_within(one.co_qualname, mutant.scope)
     }
     gc.unfreeze()  # frozen objects would not be found
     found = [
@@ -64,7 +64,9 @@ def _replaced(mutant: Mutant, tree: ast.Module) -> bool:
         for one in gc.get_objects()
         if type(one) is FunctionType and _is_of(one.__code__, file, mutant.scope)
     ]
-    pairs = [(one, wanted.get((mutant.scope, one.__code__.co_firstlineno))) for one in found]
+    pairs = [
+        (one, wanted.get((one.__code__.co_qualname, one.__code__.co_firstlineno))) for one in found
+    ]
     if not pairs or any(
         code is None or len(code.co_freevars) != len(one.__code__.co_freevars)
         for one, code in pairs
@@ -76,7 +78,12 @@ def _replaced(mutant: Mutant, tree: ast.Module) -> bool:
 
 
 def _is_of(code: CodeType, file: str, scope: str) -> bool:
-    return code.co_qualname == scope and code.co_filename == file
+    return _is_within(code.co_qualname, scope) and code.co_filename == file
+
+
+def _is_within(name: str, scope: str) -> bool:
+    """Return whether this is the scope, or a function that it has made, maybe long before."""
+    return name == scope or name.startswith(f"{scope}.<locals>.")
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:

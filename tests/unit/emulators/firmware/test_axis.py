@@ -156,6 +156,13 @@ def test_run_at_reaches_velocity_and_sets_flag(wanted):
     assert (axis.position_inc() - before) / 2 == pytest.approx(wanted, rel=0.002, abs=2)
 
 
+def test_velocity_window_is_by_default_2000_increments_per_s():
+    axis = powered_axis()
+    axis.run_at(80_000.0, 400_000.0, 400_000.0)
+    first = tick_by_tick(axis, 50, IN_VELOCITY_WINDOW, True)
+    assert first == pytest.approx(51 + (80_000 - 2_000) / 400 + 10, abs=5)  # for 10 ms within it
+
+
 def test_move_after_velocity_stop_starts_at_position():
     axis = powered_axis()
     axis.run_at(50_000.0, 1e6, 1e6)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
-from motorhil.harness.conformance.clause import Level
+from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.clauses.communication.process_data import (
@@ -20,6 +20,9 @@ _ABSENT: Final = (0x0602_0000, 0x0604_0041)
 _NOT_MAPPABLE: Final = 0x0604_0041
 _TOO_LONG: Final = 0x0604_0042
 _VALUE: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0604_0043, 0x0800_0000, _UNSUPPORTED)
+_BOOLEAN: Final = 0x0001
+_BIT: Final = 0x0001_0001  # a dummy of one bit
+_BITS: Final = 4
 _DUMMY_BYTE: Final = 0x0005_0008
 
 
@@ -104,6 +107,7 @@ def dummy_entries(bench: DriveBench) -> None:
         drive.client.send(identifier, b"\x00" * space + b"\x06\x00")
         drive.await_state(State.READY_TO_SWITCH_ON, what.replace("0000h", "0006h"), "transition 2")
     _refuse_odd_dummy(drive, parameter, count, first)
+    _expect_promised_bits(bench, identifier, cob_id)
 
 
 def _refuse_odd_dummy(drive: Drive, parameter: Entry, count: Entry, first: Entry) -> None:
@@ -113,3 +117,26 @@ def _refuse_odd_dummy(drive: Drive, parameter: Entry, count: Entry, first: Entry
         code = drive.offer_value(first, odd)
         seen = f"{code:08X}h" if code else "accepted"
         drive.expect(code != 0, f"dummy entry {odd:08X}h", "an abort: no such dummy", seen)
+
+
+def _expect_promised_bits(bench: DriveBench, identifier: int, cob_id: int) -> None:
+    """Expect dummies of one bit, if the EDS of the drive allows them and places between bytes."""
+    drive = bench.drive
+    try:
+        promised = bench.dictionary()
+    except NotApplicable:
+        return
+    if promised.granularity != 1 or _BOOLEAN not in promised.dummies:
+        return
+    for place, entry in enumerate((*[_BIT] * _BITS, od.CONTROLWORD.mapped), 1):
+        mapped = Entry(0x1600, place, "I", "mapped object")
+        code = drive.offer_value(mapped, entry)
+        seen, what = f"{code:08X}h", f"{mapped} = {entry:08X}h"
+        drive.expect(not code, what, "accepted: Dummy0001 = 1, Granularity = 1", seen)
+    drive.write(Entry(0x1600, 0, "B", "number"), _BITS + 1)
+    drive.write(Entry(0x1400, 1, "I", "COB-ID"), cob_id)
+    operational(drive)
+    for word, state in ((0x00, State.SWITCH_ON_DISABLED), (0x06, State.READY_TO_SWITCH_ON)):
+        drive.client.send(identifier, (word << _BITS | 0x06).to_bytes(3, "little"))
+        what = f"RPDO with {_BITS} bits of dummies, and controlword {word:04X}h"
+        drive.await_state(state, what, "the EDS promises such places")

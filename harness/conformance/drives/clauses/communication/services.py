@@ -174,6 +174,16 @@ def two_hosts(bench: DriveBench) -> None:
         is_told = bool(frame.data[2] & 0x10) is bool(left)
         expected = f"1001h bit 4 = {left}: {left} host is lost"
         drive.expect(is_told, "EMCY 0000h", expected, f"{frame.data[2]:02X}h")
+    for host in _HOSTS:
+        drive.client.send(0x700 + host, b"\x05")
+    drive.client.node.nmt.send_command(RESET_COMMUNICATION)
+    drive.quiet(0.1)
+    drive.boot()
+    begin_ns = drive.now_ns
+    drive.quiet(2.0 * _PERIODS_MS[1] / 1e3)
+    late = drive.count_emergencies(_LOST, begin_ns)
+    expected = "no EMCY 8130h: no heartbeat since the reset"
+    drive.expect(not late, "reset communication", expected, f"{late}", "watched as before")
     for entry in entries:
         drive.write(entry, 0)
 

@@ -16,6 +16,7 @@ from motorhil.harness.conformance.drives.clauses.communication.process_data impo
     sync,
 )
 from motorhil.harness.conformance.drives.client import SYNC
+from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, State
 
@@ -70,8 +71,7 @@ def counted_sync(bench: DriveBench) -> None:
         sync(drive, right)
         drive.await_state(State.READY_TO_SWITCH_ON, "SYNC with a counter", "transition 2")
         drive.await_emergency(0x0000, begin_ns, "SYNC with a counter again")
-    drive.client.node.nmt.send_command(PRE_OPERATIONAL)
-    drive.quiet()
+    _expect_watch_in_pre_operational(drive)
     operational(drive)
     begin_ns = drive.now_ns
     counters = [(number + 1) % _COUNTS + 1 for number in range(3 * _COUNTS)]  # from 2 on
@@ -102,6 +102,17 @@ def counted_sync(bench: DriveBench) -> None:
     drive.expect(count == 2, what, "2 TPDOs: no counter to wait for", f"{count}")
 
 
+def _expect_watch_in_pre_operational(drive: Drive) -> None:
+    """Enter pre-operational; expect a wrong SYNC to be reported there too."""
+    drive.client.node.nmt.send_command(PRE_OPERATIONAL)
+    drive.quiet()
+    begin_ns = drive.now_ns
+    sync(drive)
+    drive.await_emergency(_ODD_SYNC, begin_ns, "SYNC without a counter in pre-operational")
+    sync(drive, b"\x01")
+    drive.await_emergency(0x0000, begin_ns, "SYNC with a counter in pre-operational")
+
+
 @drive_clause("SYN-02", Level.L4, source="CiA 301, 7.5.2.5, 1005h bit 30; 7.5.2.6, 1006h")
 def produced_sync(bench: DriveBench) -> None:
     """With bit 30 of 1005h the drive sends SYNC each 1006h, counts by 1019h, and obeys itself."""
@@ -114,6 +125,9 @@ def produced_sync(bench: DriveBench) -> None:
     refused = drive.offer_value(_OVERFLOW, 0)
     drive.expect(refused != 0, f"{_OVERFLOW} while 1006h is not 0", "an abort", "accepted")
     drive.set(_SYNC_ID, SYNC | _PRODUCES)
+    refused = drive.offer_value(_SYNC_ID, SYNC + 1 | _PRODUCES)
+    what = f"{_SYNC_ID}: another identifier, bit 30 = 1"
+    drive.expect(refused != 0, what, "an abort", "accepted")
     drive.quiet(0.1)
     operational(drive)
     begin_ns = drive.now_ns
@@ -280,6 +294,13 @@ def watched_rpdo(bench: DriveBench) -> None:
         begin_ns = drive.now_ns
         send_word(drive, identifier, od.SHUTDOWN)
         drive.await_emergency(0x0000, begin_ns, "an RPDO again")
+    drive.client.node.nmt.send_command(PRE_OPERATIONAL)
+    begin_ns = drive.now_ns
+    drive.quiet(2.0 * _TIMER_MS / 1e3)
+    late = drive.count_emergencies(_PDO_MISSING, begin_ns)
+    what = f"1400h:5 = {_TIMER_MS}, pre-operational"
+    drive.expect(not late, what, "no EMCY 8250h: it has no PDOs", f"{late}")
+    operational(drive)
     drive.set(_RPDO_TIMER, 0)
     begin_ns = drive.now_ns
     send_word(drive, identifier, od.SHUTDOWN)

@@ -161,7 +161,7 @@ def uploads(bench: DriveBench) -> None:
 
 @drive_clause("SDO-02", Level.L0, source="CiA 301, 7.2.4.3.3 to 7.2.4.3.17, SDO download")
 def downloads(bench: DriveBench) -> None:
-    """A value downloaded in segments or in blocks is taken at the end, once it is complete."""
+    """A value is downloaded at once, in segments or in blocks, and taken once it is complete."""
     drive = bench.drive
     drive.require(od.HEARTBEAT_PRODUCER)
     entry, place = od.HEARTBEAT_PRODUCER, _place(od.HEARTBEAT_PRODUCER)
@@ -174,6 +174,13 @@ def downloads(bench: DriveBench) -> None:
         drive.client.send_message(0x700, b"")  # another frame between them does no harm
         _expect(drive, _ask(drive, 0x1D, data=value[1:]), b"\x30", f"{what}, segment 2", "")
         drive.near(entry, _VALUE_MS, 0, what, "segments are joined wrongly")
+        drive.write(entry, 0)
+    for head in (0x2B, 0x22):
+        what = f"expedited download of {entry} ({head:02X}h)"
+        cause = "e = 1 and s = 0: the number of bytes is not stated"
+        answers = _ask(drive, head, data=place + value)
+        _expect(drive, answers, b"\x60" + place, what, cause if head == 0x22 else "")
+        drive.near(entry, _VALUE_MS, 0, what)
         drive.write(entry, 0)
     begun = _ask(drive, 0xC6, data=place + _size(2))
     if len(begun) == 1 and begun[0][0] == 0x80:
