@@ -23,6 +23,7 @@ from motorhil.motorapi import (
     MotorError,
     MotorGroup,
     MotorState,
+    Outcome,
     PluginError,
     Synchronization,
     TrapezoidalTrajectory,
@@ -241,6 +242,17 @@ def expect_tracks(
         worst <= bench.facts.following,
         f"{what}: {worst:.6g} {unit} off the demand; at most {bench.facts.following:g} {unit} "
         "declared",
+    )
+
+
+def expect_same_end(motor: Motor, what: str) -> None:
+    """Check that progress() and on_done(), which do not ask the drive, agree on the end."""
+    shown = motor.progress()
+    ended: list[Outcome] = []
+    motor.on_done(ended.append).cancel()
+    expect(
+        (shown is None) is bool(ended),
+        f"{what}: progress() is {shown}, but on_done() reports {ended or 'no end'}",
     )
 
 

@@ -4,7 +4,7 @@ The bounds on a common start are made of these. The theory is computed here once
 and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 2013 for FIFO queues.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations, product
@@ -22,6 +22,7 @@ from motorhil.motorapi.synchronization.bus_load import (
     CanTraffic,
     NodeTraffic,
     PeriodicMessage,
+    declare_traffic,
     own_traffic,
     rank_of,
     worst_of,
@@ -347,7 +348,7 @@ def _expect_times(bits: Bits) -> None:
 
 
 @clause("TIME-03", Level.L4, source="Davis et al. 2007: one sender an identifier, least period")
-def declared_traffic_is_worst_of_all(_: RigProtocol) -> None:
+def declared_traffic_is_worst_of_all(bench: RigProtocol) -> None:
     """Traffic that is declared twice, or sent by several, counts with its worst properties."""
     node = PeriodicMessage(0x181, 8, 0.1, 0.02)
     other = replace(node, length=4, period_s=0.05, jitter_s=0.03)
@@ -389,6 +390,9 @@ def declared_traffic_is_worst_of_all(_: RigProtocol) -> None:
         expect_raises(UsageError, partial(PeriodicMessage, **values), f"{values} was accepted")
     for arguments in ((999,), (1_000_001,), (True,), (500_000, (fd, fd)), (500_000, (1,))):
         expect_raises(UsageError, partial(CanTraffic, *arguments), f"{arguments} was accepted")
+    for wrong in (fd, "traffic", 500_000):
+        declare: Callable[..., None] = partial(declare_traffic, bench)
+        expect_raises(UsageError, partial(declare, wrong), f"{wrong!r} was declared as traffic")
     for fast in (499_999, 20_000_001):
         made = partial(CanTraffic, 500_000, data_bitrate_bit_s=fast)
         expect_raises(UsageError, made, f"a data bit rate of {fast} bit/s was accepted")

@@ -19,6 +19,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     error_ending,
     expect_moved,
     expect_rest,
+    expect_same_end,
     expect_unmoved,
     expect_usable,
     failure_of,
@@ -380,7 +381,8 @@ def _expect_latest_or_gone(bench: RigProtocol, motor: Motor, offset: float, what
     Level.L5,
     needs={Capability.POSITION_TRAJECTORY},
     bench=_CABLE,
-    source="Motor.wait_until_done: of the last motion, whatever was commanded since; LinkError",
+    source="Motor.wait_until_done: of the last motion, whatever was commanded since; LinkError;"
+    " Motor.progress, Motor.on_done: at once if it has ended already",
 )
 def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
     """If a motion fails while no caller waits, a wait after the next commands still says so."""
@@ -394,6 +396,7 @@ def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
         with bench.cut(motor) if trouble == "cut off" else nullcontext():
             rest_for(bench, until_rest_s(bench, motor))
         rest_for(bench, _BACK_S)
+        expect_same_end(motor, f"its drive was {trouble} in a motion")
         if is_disabled:
             motor.disable()
         if motor.fault() is not None:
