@@ -529,6 +529,21 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     move(bench, group[0], 0.3 * way)
     after = group.sync_quality().path
     expect(after == told, f"one member moved alone later: the path was {told}, and is {after}")
+    for first in (0.2 * way, 0.0):
+        _expect_idle_member(bench, group, first)
+
+
+def _expect_idle_member(bench: RigProtocol, group: MotorGroup, way: float) -> None:
+    """Expect a member without a distance to be done at once, and to stay where it is."""
+    group.set_trajectory(TrapezoidalTrajectory(way), TrapezoidalTrajectory(0.0))
+    with in_phase(group):
+        group.start()
+        finish_group(bench, group)
+    idle = group.sync_quality().path[-1]
+    expect(
+        (idle.deviation or 0.0) <= 2.0 * bench.facts.following and bool(idle.source),
+        f"{group[1].name} had no distance to move, but its deviation from the path is {idle}",
+    )
 
 
 def _fastest_line_s(group: MotorGroup, ways: tuple[float, float]) -> float:

@@ -246,8 +246,11 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
         return
     names = stated.declaration.names(motor.model.unit)
     declared = stated.declaration.keys[names[second]].kind if second in names else None
+    least = 0xFF if getattr(bench.link, "framing", "") == "tcp" else 0  # its units: any byte
     beyond = [
-        value for value, limit in _outside(declared) if isinstance(value, int) and value > limit
+        value
+        for value, limit in _outside(declared)
+        if isinstance(value, int) and value > max(limit, least)
     ]
     for value in (*_NO_ADDRESS, *beyond):
         made = partial(kind, bench.link, value, **own)

@@ -4,7 +4,7 @@ The bounds on a common start are made of these. The theory is computed here once
 and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 2013 for FIFO queues.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations, product
@@ -390,9 +390,10 @@ def declared_traffic_is_worst_of_all(bench: RigProtocol) -> None:
         expect_raises(UsageError, partial(PeriodicMessage, **values), f"{values} was accepted")
     for arguments in ((999,), (1_000_001,), (True,), (500_000, (fd, fd)), (500_000, (1,))):
         expect_raises(UsageError, partial(CanTraffic, *arguments), f"{arguments} was accepted")
+    declare: Any = declare_traffic
     for wrong in (fd, "traffic", 500_000):
-        declare: Callable[..., None] = partial(declare_traffic, bench)
-        expect_raises(UsageError, partial(declare, wrong), f"{wrong!r} was declared as traffic")
+        refused = partial(declare, bench, wrong)
+        expect_raises(UsageError, refused, f"{wrong!r} was declared as traffic")
     for fast in (499_999, 20_000_001):
         made = partial(CanTraffic, 500_000, data_bitrate_bit_s=fast)
         expect_raises(UsageError, made, f"a data bit rate of {fast} bit/s was accepted")
