@@ -145,7 +145,9 @@ def fault_prevents_start_and_enable(bench: RigProtocol) -> None:
     motor.set_trajectory(TrapezoidalTrajectory(0.3 * long_move(bench)))
     _raised("start()", motor.start)
     _raised("enable()", motor.enable)
-    rest_for(bench, 0.5)
+    for stop in (motor.quick_stop, motor.stop):  # allowed in any state
+        stop()
+        rest_for(bench, 0.25)
     expect_unmoved(bench, motor, before, "started with a fault")
     expect_state(motor, MotorState.FAULT, "started with a fault")
 
@@ -409,6 +411,7 @@ def command_without_answer_fails_in_time(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     asked: list[tuple[str, Callable[[], object]]] = [
+        ("position()", motor.position),
         ("enable()", motor.enable),
         ("disable()", motor.disable),
         ("start()", motor.start),
