@@ -505,7 +505,8 @@ def _expect_bound_of_frames(bench: RigProtocol, group: MotorGroup) -> None:
     expect(skew_s is not None or bool(can.no_command_bound), "no bound, and no reason")
     expect(
         skew_s is None or 0.0 <= skew_s <= _FRAMES_S,
-        f"commands of frames at {_FAST_BIT_S} bit/s, without other traffic: a skew of {skew_s} s; expected at most {_FRAMES_S:g} s",
+        f"commands of frames at {_FAST_BIT_S} bit/s, without other traffic: a skew of {skew_s} s;"
+        f" expected at most {_FRAMES_S:g} s",
     )
 
 
