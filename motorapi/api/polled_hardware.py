@@ -389,6 +389,25 @@ class PolledHardware(ABC, Generic[UnitT]):
             return replace(changed, target=(number if per_unit > 0 else -number) / speed)
         return replace(changed, velocity=number / speed, target=target / per_unit)
 
+    def require_speed(self, motion: "Motion", motor: str, model: "MotorModel") -> None:
+        """Require the drive to be able to move as slowly as the motion allows, if it moves at all.
+
+        Raises:
+            LimitError: its smallest velocity is above the limit.
+        """
+        per_unit, least = self._per_unit(model), 1.0 / self._rates(model)[0]
+        is_way = round(motion.start * per_unit) != round(motion.target * per_unit)
+        if is_way and motion.velocity < least * (1.0 - _ROUNDING):
+            raise LimitError(
+                motor=motor,
+                quantity="velocity limit",
+                value=motion.velocity,
+                low=least,
+                high=None,
+                unit=f"{model.unit}/s",
+                reason="it is below the smallest step of the drive's units",
+            )
+
     def prepare(self, motion: "Motion", model: "MotorModel") -> None:
         """Prepare the motion, except for its trigger."""
         self.connect(model)

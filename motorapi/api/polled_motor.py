@@ -204,6 +204,8 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         self._apply_parameters()
+        if motion.variable is ControlVariable.POSITION:
+            self.hardware.require_speed(motion, self.name, self.model)
         try:
             self.hardware.prepare(motion, self.model)
         except LimitError as error:

@@ -207,7 +207,7 @@ class PathWatch:
                 continue  # the motor has left the line; its failure is reported elsewhere
             if not kept or latest.time_ns > kept[-1][0]:
                 kept.append((latest.time_ns, latest.position))
-        if not all(self._kept):
+        if not self._kept or not all(self._kept):
             return
         at_ns = min(kept[-1][0] for kept in self._kept)
         if at_ns > self._compared_ns:

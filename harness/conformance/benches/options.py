@@ -38,6 +38,11 @@ def _over_tcp(kind: str) -> list[Change]:
     return [(line, buses), (f'{unit}"line"', f'{unit}"second"')]
 
 
+def _patient(kind: str) -> list[Change]:
+    """Return the changes with which a gateway in front of a drive tells that it is silent."""
+    return [*of_motor(kind, "timeout_s = 1.5"), ("lost_s = 1.0", "lost_s = 6.0")]
+
+
 _CIA402: Final[Mapping[str, Sequence[Change]]] = {
     "motor options": of_motor(
         "cia402",
@@ -108,6 +113,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         ('kind = "dryve"\n', 'kind = "dryve"\nvelocity_unit = "rpm"\n'),
     ],
     "dryve options": of_motor("dryve", "timeout_s = 0.3"),
+    "dryve awaited for longer": _patient("dryve"),
     "servo options": of_motor("dynamixel", "timeout_s = 0.08"),
     "servo in velocity mode": [  # without position control, it yields to a load
         *of_motor("dynamixel", 'mode = "velocity"'),
@@ -118,6 +124,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     ),
     "ideal motor with limited jerk": [('adaptation = "ideal"\n', 'adaptation = "ideal"\n'), _JERK],
     "Leadshine over TCP": _over_tcp("leadshine_pr"),
+    "Leadshine awaited for longer": [*_over_tcp("leadshine_pr"), *_patient("leadshine")],
     "Leadshine options": of_motor("leadshine", "timeout_s = 0.15"),
     "AZ over TCP": _over_tcp("oriental_az"),
     "AZ options": of_motor("oriental_az", "timeout_s = 0.15"),

@@ -368,7 +368,9 @@ class RigBench:
         for key in ADDRESS_KEYS:
             told = drive.get(key)
             address = told if isinstance(told, int) else address
-        for one in (name, f"{name}-{SECOND_USER}"):
+        for one in (name, f"{name}-{SECOND_USER}", f"{name}-{_READER}"):
+            if one not in motors:  # only some benches have a reader
+                continue
             own = {**motors[one].settings, **motor}
             own = {key: own[key] for key in own if key not in ADDRESS_KEYS}
             motors[one] = replace(motors[one], node_id=address, settings=own)

@@ -63,6 +63,11 @@ from motorhil.motorapi import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.synchronization.bus_load import (
+    CanTraffic,
+    declare_traffic,
+    declared_traffic,
+)
 
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -74,6 +79,8 @@ _LOOKS = 10  # at the positions, while no caller waits
 _LEVELS = ("SEQUENTIAL", "TRIGGERED", "CYCLIC")
 _STREAMED_S = 20.0
 _SPEED_S = 0.02
+_FAST_BIT_S = 1_000_000
+_FRAMES_S = 0.02
 _SLOWLY = 0.1  # of the largest velocity
 _FIRST = 0.01  # of a streamed move: it has begun
 _FAR = 1e-6  # U: two skews that are not meant to differ
@@ -451,7 +458,7 @@ def _expect_removal(bench: RigProtocol, group: MotorGroup) -> None:
     Level.L4,
     needs=_MOVES,
     bench=_TWO,
-    source="requirement 5 of the paper: feedback on the possible capability",
+    source="requirement 5 of the paper: feedback on the possible capability; declare_traffic",
 )
 def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
     """Every skew has a bound or a reason; a start that cannot meet a requirement is refused."""
@@ -466,6 +473,7 @@ def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
         expect(value is not None or bool(why), f"no bound on the skew {what}, and no reason")
         expect(value is None or value >= 0.0, f"a skew {what} of {value} s")
     expect(bool(can.reason), "sync_capability() has no reason for its level")
+    _expect_bound_of_frames(bench, group)
     before = positions_of(bench, group)
     if can.level < max(SyncLevel):
         _expect_refused(group, can, SyncLevel(max(SyncLevel)), None)
@@ -482,6 +490,23 @@ def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
     finish_group(bench, group)
     expect_group_moved(
         bench, group, before, (way, -way), "with the reported capability as requirement"
+    )
+
+
+def _expect_bound_of_frames(bench: RigProtocol, group: MotorGroup) -> None:
+    """Expect a bound on the skew of the commands, of a few frames, once all traffic is declared."""
+    if not {Ability.ONE_KIND, Ability.SETTINGS}.issubset(bench.abilities):
+        return  # not a CAN bus that the check has
+    before = declared_traffic(bench.link)
+    declare_traffic(bench.link, CanTraffic(_FAST_BIT_S))
+    can = group.sync_capability()
+    declare_traffic(bench.link, before)
+    skew_s = can.command_skew_s
+    expect(skew_s is not None or bool(can.no_command_bound), "no bound, and no reason")
+    expect(
+        skew_s is None or 0.0 <= skew_s <= _FRAMES_S,
+        f"commands of frames at {_FAST_BIT_S} bit/s, without other traffic: a skew of {skew_s} s;"
+        f" expected at most {_FRAMES_S:g} s",
     )
 
 
@@ -529,6 +554,21 @@ def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
     move(bench, group[0], 0.3 * way)
     after = group.sync_quality().path
     expect(after == told, f"one member moved alone later: the path was {told}, and is {after}")
+    for first in (0.2 * way, 0.0):
+        _expect_idle_member(bench, group, first)
+
+
+def _expect_idle_member(bench: RigProtocol, group: MotorGroup, way: float) -> None:
+    """Expect a member without a distance to be done at once, and to stay where it is."""
+    group.set_trajectory(TrapezoidalTrajectory(way), TrapezoidalTrajectory(0.0))
+    with in_phase(group):
+        group.start()
+        finish_group(bench, group)
+    idle = group.sync_quality().path[-1]
+    expect(
+        (idle.deviation or 0.0) <= 2.0 * bench.facts.following and bool(idle.source),
+        f"{group[1].name} had no distance to move, but its deviation from the path is {idle}",
+    )
 
 
 def _fastest_line_s(group: MotorGroup, ways: tuple[float, float]) -> float:

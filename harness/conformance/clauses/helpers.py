@@ -23,6 +23,7 @@ from motorhil.motorapi import (
     MotorError,
     MotorGroup,
     MotorState,
+    Outcome,
     PluginError,
     Synchronization,
     TrapezoidalTrajectory,
@@ -241,6 +242,17 @@ def expect_tracks(
         worst <= bench.facts.following,
         f"{what}: {worst:.6g} {unit} off the demand; at most {bench.facts.following:g} {unit} "
         "declared",
+    )
+
+
+def expect_same_end(motor: Motor, what: str) -> None:
+    """Check that progress() and on_done(), which do not ask the drive, agree on the end."""
+    shown = motor.progress()
+    ended: list[Outcome] = []
+    motor.on_done(ended.append).cancel()
+    expect(
+        (shown is None) is bool(ended),
+        f"{what}: progress() is {shown}, but on_done() reports {ended or 'no end'}",
     )
 
 
@@ -474,11 +486,17 @@ def expect_usable(bench: RigProtocol, motor: Motor, what: str) -> None:
 
 
 def move_through(
-    bench: RigProtocol, motor: Motor, trouble: AbstractContextManager[Lost], what: str
+    bench: RigProtocol,
+    motor: Motor,
+    trouble: AbstractContextManager[Lost],
+    what: str,
+    *,
+    is_brief: bool = False,
 ) -> int:
     """Move once through the trouble: check that the move is done or fails with an error.
 
-    After an error, the motor must be usable.
+    After an error, the motor must be usable. A motion that start() has begun moves the motor, if
+    the trouble `is_brief`.
 
     Returns:
         How often the trouble struck.
@@ -486,9 +504,8 @@ def move_through(
     before, way = position_of(bench, motor), 0.25 * long_move(bench)
     duration_s = shortest_s(motor, way)
     with trouble as struck:
-        error = failure_of(
-            lambda: aim(motor, way, relative=True), lambda: finish(bench, motor, duration_s)
-        )
+        refusal = failure_of(partial(aim, motor, way, relative=True))
+        error = refusal or failure_of(partial(finish, bench, motor, duration_s))
         hit = struck()
     if error is None:
         expect_moved(bench, motor, before, way, f"{what}: done was reported")
@@ -499,6 +516,10 @@ def move_through(
     expect(
         low - window <= moved <= high + window,
         f"{what}: moved {moved:g} {unit}; one move of {way:g} {unit} was commanded",
+    )
+    expect(
+        not is_brief or refusal is not None or abs(moved) > window,
+        f"{what}: start() returned, but the motor did not move: {error}",
     )
     expect_usable(bench, motor, what)
     return hit

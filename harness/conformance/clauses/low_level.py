@@ -43,6 +43,7 @@ from motorhil.motorapi import (
 
 _BACK_S: Final = 1.0
 _SLOW: Final = 3.0
+_PATIENCE_S: Final = 10.0
 _LOOK_S: Final = 0.2
 _DEVICE_TYPE, _IDENTITY, _HEARTBEAT = 0x1000, 0x1018, 0x1017  # CiA 301
 _NMT, _STOP = 0x000, 0x02  # CiA 301, NMT
@@ -226,7 +227,8 @@ def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -
     "LOW-05",
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
-    source="CiA 301, 1000h, 1017h, 1018h; paper 3.5, one hardware object, shared by all",
+    source="CiA 301, 1000h, 1017h, 1018h; paper 3.5, one hardware object, shared by all;"
+    " MotorHooks._open_low_level: it refuses other threads",
 )
 def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
     """Objects of a CANopen node are read and written as addressed, and not during a motion."""
@@ -250,6 +252,9 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
             hardware.download(_HEARTBEAT, 0, (written_ms + 2).to_bytes(2, "little"))
             _expect_period(hardware, written_ms + 2, "download()")
         hardware.write(_HEARTBEAT, period_ms)
+        _expect_refused_elsewhere(bench, "upload()", partial(hardware.upload, _DEVICE_TYPE, 0))
+        own = partial(hardware.write, _HEARTBEAT, period_ms)
+        _expect_refused_elsewhere(bench, "write()", own)
     follow(motor, TrapezoidalTrajectory(way))
     for what, operation in (
         ("write()", partial(hardware.write, _HEARTBEAT, period_ms)),
@@ -262,6 +267,17 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
         enable = _simple(hardware, "enable")
         expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
+
+
+def _expect_refused_elsewhere(
+    bench: RigProtocol, what: str, operation: Callable[[], object]
+) -> None:
+    """Expect another thread to be refused this operation during low-level access."""
+    errors: list[MotorError | None] = []
+    party = bench.runtime.spawn("other thread", lambda: errors.append(failure_of(operation)))
+    expect(party.join(_PATIENCE_S) and party.error is None, f"{what} elsewhere: {party.error!r}")
+    told = f"{what} of the hardware object in another thread, during low-level access: {errors[0]}"
+    expect(isinstance(errors[0], MotorBusyError), f"{told}; expected its refusal")
 
 
 @clause(

@@ -29,6 +29,7 @@ from motorhil.harness.conformance.clauses.motion.measurements import (
 )
 from motorhil.harness.rig.config.buses import ADDRESS_KEYS
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     DeadlineExceeded,
     DeviceFault,
@@ -143,6 +144,7 @@ def wrong_settings_are_refused_by_name(bench: RigProtocol) -> None:
             rest = {one: right[one] for one in right if one != key}
             _expect_refused(bench, rest, f"without {key}", key)
     _expect_ends(bench, stated, unit)
+    _expect_largest_fit(bench, stated, unit)
     _expect_refused(bench, {**right, _UNKNOWN: 1}, f"the unknown key {_UNKNOWN}", _UNKNOWN)
     motor = bench.motor
     motor.enable()
@@ -175,6 +177,23 @@ def _expect_ends(bench: RigProtocol, stated: Stated, unit: str) -> None:
             expect(
                 error is None or (isinstance(error, UsageError) and is_other),
                 f"{key} = {end!r}, an end of its range: {type(error).__name__}: {error}",
+            )
+
+
+def _expect_largest_fit(bench: RigProtocol, stated: Stated, unit: str) -> None:
+    """Expect the largest numbers to fit what the drive holds, or to be refused by name."""
+    for key, name in stated.declaration.names(unit).items():
+        kind = stated.declaration.keys[name].kind
+        if not isinstance(kind, Number) or not isfinite(kind.high) or key in ADDRESS_KEYS:
+            continue
+        end = int(kind.high) if kind.is_whole else kind.high
+        if not _takes(kind, end):
+            continue
+        with suppress(RigError), bench.altered({key: end}, {}):  # else refused beside another
+            error = failure_of(bench.motor.enable)
+            expect(
+                not isinstance(error, UsageError) or key in f"{error}",
+                f"{key} = {end:g}, an end of its range: {error}; expected a refusal by its name",
             )
 
 
@@ -246,8 +265,11 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
         return
     names = stated.declaration.names(motor.model.unit)
     declared = stated.declaration.keys[names[second]].kind if second in names else None
+    least = 0xFF if getattr(bench.link, "framing", "") == "tcp" else 0  # its units: any byte
     beyond = [
-        value for value, limit in _outside(declared) if isinstance(value, int) and value > limit
+        value
+        for value, limit in _outside(declared)
+        if isinstance(value, int) and value > max(limit, least)
     ]
     for value in (*_NO_ADDRESS, *beyond):
         made = partial(kind, bench.link, value, **own)

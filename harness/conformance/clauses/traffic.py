@@ -22,6 +22,7 @@ from motorhil.motorapi.synchronization.bus_load import (
     CanTraffic,
     NodeTraffic,
     PeriodicMessage,
+    declare_traffic,
     own_traffic,
     rank_of,
     worst_of,
@@ -347,7 +348,7 @@ def _expect_times(bits: Bits) -> None:
 
 
 @clause("TIME-03", Level.L4, source="Davis et al. 2007: one sender an identifier, least period")
-def declared_traffic_is_worst_of_all(_: RigProtocol) -> None:
+def declared_traffic_is_worst_of_all(bench: RigProtocol) -> None:
     """Traffic that is declared twice, or sent by several, counts with its worst properties."""
     node = PeriodicMessage(0x181, 8, 0.1, 0.02)
     other = replace(node, length=4, period_s=0.05, jitter_s=0.03)
@@ -389,6 +390,10 @@ def declared_traffic_is_worst_of_all(_: RigProtocol) -> None:
         expect_raises(UsageError, partial(PeriodicMessage, **values), f"{values} was accepted")
     for arguments in ((999,), (1_000_001,), (True,), (500_000, (fd, fd)), (500_000, (1,))):
         expect_raises(UsageError, partial(CanTraffic, *arguments), f"{arguments} was accepted")
+    declare: Any = declare_traffic
+    for wrong in (fd, "traffic", 500_000):
+        refused = partial(declare, bench, wrong)
+        expect_raises(UsageError, refused, f"{wrong!r} was declared as traffic")
     for fast in (499_999, 20_000_001):
         made = partial(CanTraffic, 500_000, data_bitrate_bit_s=fast)
         expect_raises(UsageError, made, f"a data bit rate of {fast} bit/s was accepted")

@@ -123,6 +123,7 @@ _TORQUE: Final = 0x6077_0010
 
 _PROFILE_402: Final = 0x0192
 _TPDOS: Final = 4
+_UINT16_MAX: Final = 0xFFFF
 _FIRST_STATUS_S: Final = 0.5
 _LATCHED_TARGETS: Final = (_TARGET_POSITION, _TARGET_VELOCITY)
 
@@ -302,7 +303,12 @@ def _velocity_pdo(
         return None
     for mapping in ((_VELOCITY, _TORQUE), (_VELOCITY,)):
         wish = PdoWish(
-            True, 2, mapping, EVENT_DRIVEN, inhibit_100us=period_ms * 10, event_ms=period_ms
+            True,
+            2,
+            mapping,
+            EVENT_DRIVEN,
+            inhibit_100us=min(10 * period_ms, _UINT16_MAX),
+            event_ms=period_ms,
         )
         made = pdos.configure(wish)
         if made is not None:

@@ -19,6 +19,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     error_ending,
     expect_moved,
     expect_rest,
+    expect_same_end,
     expect_unmoved,
     expect_usable,
     failure_of,
@@ -50,6 +51,8 @@ from motorhil.motorapi import (
 _BACK_S = 1.0
 _EXAMPLES = 10
 _FRAMES = 14  # a start, and a few frames after it
+_BOTH = (True, False)
+_LATER = [(skip, False, True) for skip in range(6)]  # of the host, in a start that needs few
 _FRAMES_OF_STOP = 3  # the stop, and frames that go before it
 _SLOW = 4.0  # times the shortest move: a stop can be repeated before its end
 _HOLDS = 0.2  # of the largest torque
@@ -275,21 +278,24 @@ def stream_without_sync_fails_and_stops(bench: RigProtocol) -> None:
     Level.L5,
     needs={Capability.POSITION_SET_POINT},
     bench={Ability.TRUTH, Ability.LOSE, Ability.SILENCE_HOST, Ability.AFRESH},
-    source="Sharing and locking, at most once; requirement 1; errors: DeadlineExceeded, PeerError",
+    source="Sharing and locking, at most once; requirement 1; errors: DeadlineExceeded, PeerError;"
+    " Motor.start: the motion is started and acknowledged, otherwise an error is raised",
 )
 def lost_frame_keeps_report_truthful(bench: RigProtocol) -> None:
     """Whichever frame of a move is lost, it is done or fails truthfully; a stop may be repeated."""
     hit = 0
-    for skip in range(_FRAMES):
-        for lose_answers in (True, False):
-            bench.afresh()
-            motor = bench.motor
-            motor.enable()
-            which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} lost"
-            lose = bench.silence_host(skip=skip, limit=1)
-            if lose_answers:
-                lose = bench.lose_answers_of(motor, skip=skip, limit=1)
-            hit += move_through(bench, motor, lose, which)
+    firsts = [(skip, lose_answers, False) for skip in range(_FRAMES) for lose_answers in _BOTH]
+    for skip, lose_answers, has_moved in (*firsts, *_LATER):
+        bench.afresh()
+        motor = bench.motor
+        motor.enable()
+        if has_moved:
+            move(bench, motor, 0.1 * long_move(bench))
+        which = f"frame {skip + 1} of {'the drive' if lose_answers else 'the host'} lost"
+        lose = bench.silence_host(skip=skip, limit=1)
+        if lose_answers:
+            lose = bench.lose_answers_of(motor, skip=skip, limit=1)
+        hit += move_through(bench, motor, lose, which, is_brief=True)
     reached(hit > 0, "the loss of a frame")
     for skip in range(_FRAMES_OF_STOP if bench.facts.repeats_stops else 0):
         _expect_stop_without_frame(bench, skip)
@@ -380,7 +386,8 @@ def _expect_latest_or_gone(bench: RigProtocol, motor: Motor, offset: float, what
     Level.L5,
     needs={Capability.POSITION_TRAJECTORY},
     bench=_CABLE,
-    source="Motor.wait_until_done: of the last motion, whatever was commanded since; LinkError",
+    source="Motor.wait_until_done: of the last motion, whatever was commanded since; LinkError;"
+    " Motor.progress, Motor.on_done: at once if it has ended already",
 )
 def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
     """If a motion fails while no caller waits, a wait after the next commands still says so."""
@@ -394,6 +401,7 @@ def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
         with bench.cut(motor) if trouble == "cut off" else nullcontext():
             rest_for(bench, until_rest_s(bench, motor))
         rest_for(bench, _BACK_S)
+        expect_same_end(motor, f"its drive was {trouble} in a motion")
         if is_disabled:
             motor.disable()
         if motor.fault() is not None:

@@ -145,7 +145,9 @@ def fault_prevents_start_and_enable(bench: RigProtocol) -> None:
     motor.set_trajectory(TrapezoidalTrajectory(0.3 * long_move(bench)))
     _raised("start()", motor.start)
     _raised("enable()", motor.enable)
-    rest_for(bench, 0.5)
+    for stop in (motor.quick_stop, motor.stop):  # allowed in any state
+        stop()
+        rest_for(bench, 0.25)
     expect_unmoved(bench, motor, before, "started with a fault")
     expect_state(motor, MotorState.FAULT, "started with a fault")
 
@@ -409,6 +411,7 @@ def command_without_answer_fails_in_time(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.2 * long_move(bench)
     move(bench, motor, way)
     asked: list[tuple[str, Callable[[], object]]] = [
+        ("position()", motor.position),
         ("enable()", motor.enable),
         ("disable()", motor.disable),
         ("start()", motor.start),
@@ -547,11 +550,13 @@ def _read_all(motor: Motor, watch: PositionWatch, when: str) -> None:
     "HOME-01",
     Level.L2,
     needs={Capability.HOMING, Capability.POSITION_TRAJECTORY},
-    source="Motor.home: knows where its position 0 is, 37: here; CiA 402-2, 6098h",
+    source="Motor.home: knows where its position 0 is, 37: here; None: the drive's own method;"
+    " CiA 402-2, 6098h, 607Ch",
 )
 def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     """Homing on the spot moves nothing; the position becomes 0 and the motor is referenced."""
     motor, way = bench.motor, 0.3 * long_move(bench)
+    own = _place_of_own_homing(bench, motor)
     move(bench, motor, way)
     before = position_of(bench, motor)
     begun_ns = bench.runtime.now_ns()
@@ -569,6 +574,21 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
         expect_unmoved(bench, motor, before, "homed on the spot")
     move(bench, motor, -way)
     expect_at(bench, motor, -way, "moved after homing on the spot")
+    again = None if own is None else _place_of_own_homing(bench, motor)
+    expect(
+        own is None or again is None or abs(again - own) <= bench.facts.window,
+        f"home() ended at {own} {motor.model.unit}, and after home({_HERE}) at {again}",
+    )
+
+
+def _place_of_own_homing(bench: RigProtocol, motor: Motor) -> float | None:
+    """Return the position after homing by the motor's own method; None: it must move for that."""
+    if Ability.TRUTH not in bench.abilities:
+        return None
+    before = bench.true_position(motor)
+    error = failure_of(partial(motor.home, timeout_s=_SEARCH_S))
+    moved = abs(bench.true_position(motor) - before)
+    return None if error is not None or moved > bench.facts.window else motor.position()
 
 
 @clause(

@@ -1,5 +1,7 @@
 """L1: set-points of all control variables."""
 
+from functools import partial
+
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.demands import least_s
@@ -11,6 +13,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_speed,
     expect_unmoved,
+    failure_of,
     fastest,
     finish,
     long_move,
@@ -30,10 +33,14 @@ from motorhil.motorapi import (
     DerivativeLimits,
     LimitError,
     MotorState,
+    UsageError,
 )
 
 _NEARLY = 0.9
 _PUSH_S = 0.25
+_SLOWEST = 5e-5  # of the model's velocity
+_CREPT = 0.05
+_CREEP_S = 6.0
 
 
 @clause(
@@ -182,6 +189,30 @@ def setpoint_velocity_limit_is_kept(bench: RigProtocol) -> None:
         expect(
             found > 0.3 * least, f"limited to {limit:.6g} {model.unit}/s, the motor hardly moved"
         )
+    _expect_slow_or_refused(bench, _SLOWEST * model.velocity_max)
+
+
+def _expect_slow_or_refused(bench: RigProtocol, limit: float) -> None:
+    """Expect a limit that may be below the smallest step of the hardware to be kept, or refused."""
+    motor = bench.motor
+    slowly = partial(
+        aim, motor, _CREPT * long_move(bench), relative=True, limits=DerivativeLimits(first=limit)
+    )
+    before = motor.position()
+    error = failure_of(slowly)
+    if error is not None:
+        is_refused = isinstance(error, UsageError)
+        expect(is_refused, f"limited to {limit:.6g} per s: {error}; expected a refusal")
+        return
+    rest_for(bench, _CREEP_S)
+    went, most = abs(motor.position() - before), limit * _CREEP_S + 2.0 * bench.facts.window
+    motor.stop()
+    finish(bench, motor)
+    expect(
+        went <= most,
+        f"limited to {limit:.6g} {motor.model.unit}/s, it went {went:.6g} {motor.model.unit} in"
+        f" {_CREEP_S:g} s; expected at most {most:.6g} {motor.model.unit}",
+    )
 
 
 @clause(

@@ -3,6 +3,7 @@
 import logging
 import re
 import warnings
+from itertools import pairwise
 from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,12 +11,14 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
 from motorhil.harness.conformance.clauses.helpers import (
+    SAMPLE_S,
     aim,
     braking_distance,
     elapsed_s,
     expect_at,
     expect_raises,
     expect_rest,
+    expect_same_end,
     expect_speed,
     finish,
     follow,
@@ -502,7 +505,7 @@ def _expect_one_call(
     "DONE-04",
     Level.L1,
     needs={Capability.POSITION_TRAJECTORY},
-    source="Motor.progress: of the last commanded motion; None once it is over",
+    source="Motor.progress, Motor.on_done: of the last commanded motion; None once it is over",
 )
 def progress_grows_to_one_then_ends(bench: RigProtocol) -> None:
     """Progress grows from 0 to 1 along the distance, agrees with the time left, and then ends."""
@@ -510,6 +513,10 @@ def progress_grows_to_one_then_ends(bench: RigProtocol) -> None:
     expect(motor.progress() is None, "progress() before the first command; expected None")
     for signed in (way, -way):
         _expect_progress(bench, motor, signed)
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, 2.0 * shortest_s(motor, way))
+    expect_same_end(motor, "a motion has ended, and no caller has asked")
+    finish(bench, motor)
 
 
 def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
@@ -614,5 +621,21 @@ def velocity_set_point_keeps_its_slopes(bench: RigProtocol) -> None:
         rest_for(bench, least_s)
         if after:
             expect_speed(bench, motor, after, 0.1, "after a set-point with limits of its own")
+    motor.set_setpoint(top, limits=DerivativeLimits(first=(-falling, rising)))
+    motor.start()
+    _expect_no_step(bench, motor, rising, 4.0 * top / falling)
     motor.stop()
     finish(bench, motor)
+
+
+def _expect_no_step(bench: RigProtocol, motor: Motor, rate: float, duration_s: float) -> None:
+    """Check that the velocity, which reverses, is nowhere steeper than this rate."""
+    samples = sample_positions(bench, motor, duration_s)[:: round(2.0 * _HALF_S / SAMPLE_S)]
+    speeds = [(there - here) / (then - now) for (now, here), (then, there) in pairwise(samples)]
+    steepest = max(abs(after - before) for before, after in pairwise(speeds))
+    most = 2.0 * _HALF_S * rate + 0.05 * motor.model.velocity_max
+    expect(
+        steepest <= most,
+        f"a reversal at {rate:g} {motor.model.unit}/s²: a step of {steepest:g}"
+        f" {motor.model.unit}/s; expected at most {most:g} {motor.model.unit}/s",
+    )

@@ -233,8 +233,9 @@ def stop_at_rest_is_done_at_once(bench: RigProtocol) -> None:
     """If the motor is at rest, off or stopped, a stop is done at once; the next move works."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     begin = motor.position()
-    motor.stop()  # not even enabled
-    finish(bench, motor)
+    for stop in (Motor.quick_stop, Motor.halt, Motor.stop):  # not even enabled
+        stop(motor)
+        finish(bench, motor)
     motor.enable()
     for stop in (Motor.stop, Motor.halt, Motor.stop):
         stop(motor)

@@ -299,7 +299,7 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
     Level.L1,
     needs={Capability.TORQUE_TRAJECTORY},
     bench={Ability.LOAD, Ability.TRUTH},
-    source="paper 3.3.1: the function value can be of any control variable",
+    source="paper 3.3.1: the function value can be of any control variable; Motor.is_done",
 )
 def torque_trajectory_is_ramp(bench: RigProtocol) -> None:
     """Torque trajectories reach their torque in the given time: half of it at half-time."""
@@ -310,6 +310,7 @@ def torque_trajectory_is_ramp(bench: RigProtocol) -> None:
     follow(motor, ramp, ControlVariable.TORQUE)
     bench.load(motor, 0.5 * asked)
     samples = sample_positions(bench, motor, 0.9 * duration_s)
+    expect(not motor.is_done(), f"a torque ramp of {duration_s:g} s was done after 90% of that")
     bench.load(motor, 0.0)
     motor.stop()
     finish(bench, motor)

@@ -16,6 +16,7 @@ VARIANTS: Final = (
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
     *("position limits in the drive", "no TPDOs", "SI units", "no heartbeat consumer"),
+    *("home offset",),
 )
 VARIED: Final = {
     "cia402": (
@@ -23,10 +24,16 @@ VARIED: Final = {
         *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
         "two buses with equal node-IDs",
     ),
-    "dryve": ("dryve options + dryve drive options + velocities in rpm",),
+    "dryve": (
+        "dryve options + dryve drive options + velocities in rpm",
+        "dryve awaited for longer",
+    ),
     "dynamixel": ("servo options + servo drive options",),
     "ideal": ("ideal motor begins at 0.3 rad + ideal motor with limited jerk",),
-    "leadshine": ("Leadshine over TCP + Leadshine options + Leadshine drive options",),
+    "leadshine": (
+        "Leadshine over TCP + Leadshine options + Leadshine drive options",
+        "Leadshine awaited for longer",
+    ),
     "mit": ("impedance options + impedance drive options + other ranges",),
     "moteus": ("moteus options + moteus drive options",),
     "oriental_az": ("AZ over TCP + AZ options + AZ drive options",),

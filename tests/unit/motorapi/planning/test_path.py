@@ -89,6 +89,14 @@ def test_resting_motor_and_line_of_one_are_not_measured(pair):
     assert (goes.motor, goes.deviation, goes.predicted) == ("m2", None, 0.0)
 
 
+def test_group_without_any_way_is_done(pair):
+    group = group_of(pair, 0.0, 0.0)
+    group.synchronization = Synchronization.PHASE
+    group.start()
+    group.wait_until_done(1.0)
+    assert [one.deviation for one in group.sync_quality().path] == [None, None]
+
+
 def test_motor_that_leaves_the_line_is_found(runtime, pair):
     group = group_of(pair, 1.0, 2.0)
     group.synchronization = Synchronization.PHASE

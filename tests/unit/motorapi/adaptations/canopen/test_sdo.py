@@ -1,6 +1,7 @@
 """SDO by canopen's client in a runtime: bytes, deadlines, stale answers."""
 
 import pytest
+from canopen.sdo.exceptions import SdoAbortedError
 
 from motorhil.motorapi.adaptations.canopen.errors import ProtocolViolation, SdoAborted
 from motorhil.motorapi.adaptations.canopen.sdo import SdoChannel
@@ -23,6 +24,12 @@ def test_expedited_upload_is_one_request_and_one_answer():
     assert channel_to(bus).upload(0x1018, 1) == b"\x04\x00\x00\x00"
     assert script.is_over
     assert bus.runtime.now_ns() == FRAME_NS + 1 * MS  # when the answer was complete
+
+
+@pytest.mark.parametrize("code", SdoAbortedError.CODES)
+def test_each_abort_code_of_the_standard_has_a_text(code):
+    error = SdoAborted(node_id=2, index=0x6040, subindex=0, abort_code=code)
+    assert "not listed" not in str(error)
 
 
 def test_segmented_upload_alternates_the_toggle_bit():

@@ -178,6 +178,15 @@ def test_velocity_tpdo_comes_cyclically_if_requested(open_rig: OpenRig):
     assert latest.velocity == 0.0
 
 
+def test_longest_velocity_period_fits_the_inhibit_time(open_rig: OpenRig):
+    # CiA 301: inhibit times (sub-index 3) are UNSIGNED16 in 100 us, event timers (5) in ms.
+    rig = open_rig(drive("left", 1))
+    hw = Cia402HwMotor(rig.bus("can0"), 1, options=HwOptions(velocity_period_ms=65535))
+    hw.connect()
+    assert (hw.read(0x1801, 3), hw.read(0x1801, 5)) == (65535, 65535)
+    hw.close()
+
+
 def test_bring_up_disables_other_tpdos(rig: Rig):
     hw = Cia402HwMotor(rig.bus("can0"), 1)
     hw.connect()

@@ -14,7 +14,7 @@ from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
 from motorhil.motorapi.errors import LimitError, MotionInterrupted, StateError, UnsupportedError
 from motorhil.motorapi.model import MotionKind
-from motorhil.motorapi.synchronization.quality import SyncLevel
+from motorhil.motorapi.synchronization.quality import Synchronization, SyncLevel
 from tests.support.motors.drive_rigs import drive
 from tests.unit.motorapi.adaptations.cia402.test_controlword import written_to_left
 
@@ -144,6 +144,20 @@ def test_two_torque_motors_start_sequentially_and_report_it(rig: Rig):
     group.wait_until_done(timeout_s=1)
     assert asked(rig) == pytest.approx(2.0, abs=0.02)
     assert asked(rig, "right") == pytest.approx(4.0, abs=0.02)
+    group.stop()
+
+
+def test_end_skew_of_torque_ramps_is_that_of_their_durations(rig: Rig):
+    group = MotorGroup(motor_of(rig), motor_of(rig, "right"))
+    group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY, ControlVariable.TORQUE)
+    group.set_trajectory(
+        TrapezoidalTrajectory(2.0, initial=0.0, duration_s=0.2),
+        TrapezoidalTrajectory(4.0, initial=0.0, duration_s=0.5),
+    )
+    group.synchronization = Synchronization.NONE
+    group.start()
+    group.wait_until_done(timeout_s=1)
+    assert group.sync_quality().predicted_end_skew_s == pytest.approx(0.3, abs=0.002)
     group.stop()
 
 

@@ -13,6 +13,7 @@ from motorhil.harness.rig.rig import Rig
 from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
+    DerivativeLimits,
     LimitError,
     Motor,
     MotorError,
@@ -189,6 +190,21 @@ def test_target_beyond_256_turns_is_refused(rig):
     left.set_setpoint(257 * 6.2832)
     with pytest.raises(LimitError, match="range of the servo's goal"):
         left.start()
+
+
+def test_velocity_below_the_smallest_step_is_refused(rig):
+    # Profile velocity of X servos: 0.229 rpm, 0.02398 rad/s; only less is refused.
+    left = rig.motors["left"]
+    left.enable()
+    left.set_control_mode(ControlMode.SETPOINT)
+    left.set_setpoint(0.01, limits=DerivativeLimits(first=0.0239))
+    with pytest.raises(LimitError, match=r"velocity limit 0\.0239 rad/s, .*at least 0\.0239"):
+        left.start()
+    rig.runtime.run_for(0.5)
+    assert left.position() == pytest.approx(0.0, abs=0.002)
+    left.set_setpoint(0.01, limits=DerivativeLimits(first=0.024))
+    left.start()
+    left.wait_until_done(2.0)
 
 
 @pytest.mark.parametrize(

@@ -500,6 +500,17 @@ def test_position_survives_lost_frames_in_motion(seed):
         assert motor.position() == pytest.approx(true(rig), abs=0.005)
 
 
+def test_positions_are_sent_ahead_by_the_lead():
+    # With 4 rad/s², 100 ms are 0.02 rad: 0.21 turns of the motor, in parts of 8 turns.
+    with opened(motor=f"{WIDE}\nlead_ms = 100.0") as rig, Ear(rig) as ear:
+        motor = rig.motors["left"]
+        motor.enable()
+        ear.heard()
+        go_to(motor, 1.0)
+        first, *_ = (data for can_id, data in ear.heard() if can_id == 0x417)
+        assert int(first, 16) / 1e6 == pytest.approx(360.0 * 0.02 / tau * 66.0 / 8.0, rel=1e-3)
+
+
 def test_speeds_are_not_sent_ahead():
     with opened() as rig, Ear(rig) as ear:
         motor = rig.motors["left"]
