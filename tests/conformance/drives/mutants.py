@@ -40,6 +40,7 @@ from motorhil.emulators.cia402.objects.torque import OffsetObjects, TorqueObject
 from motorhil.emulators.cia402.power_drive import PowerDrive
 from motorhil.emulators.cia402.state_machine import Command, PdsState
 from motorhil.emulators.firmware import (
+    axis,
     clock,
     flags,
     nonlinear_servo,
@@ -70,9 +71,13 @@ MUTANTS: dict[str, Mutant] = {}
 
 def mutant(killer, keys=""):
     def register(plant):
+        def plant_alone(patch):
+            patch.setattr(axis, "extras_tables", nonlinear_tables.extras_tables.__wrapped__)
+            plant(patch)  # no table is shared with an axis before or after it
+
         assert plant.__doc__
         assert plant.__name__ not in MUTANTS
-        MUTANTS[plant.__name__] = Mutant(plant.__name__, killer, plant, keys)
+        MUTANTS[plant.__name__] = Mutant(plant.__name__, killer, plant_alone, keys)
         return plant
 
     return register
