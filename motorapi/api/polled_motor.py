@@ -204,7 +204,8 @@ class PolledMotor(Motor, Generic[HardwareT]):
 
     def _arm(self, motion: Motion, *, together: bool) -> Trigger:
         self._apply_parameters()
-        if motion.variable is ControlVariable.POSITION:
+        if motion.variable is ControlVariable.POSITION and not together:
+            # A slow member of a group may be early instead: the group tells how much.
             self.hardware.require_speed(motion, self.name, self.model)
         try:
             self.hardware.prepare(motion, self.model)

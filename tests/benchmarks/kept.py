@@ -66,12 +66,21 @@ def scaled(figure: float, unit: str, loop: float) -> float:
 
 
 def named(figures: Iterable[Figure]) -> Iterator[Figure]:
-    """Yield figures with whole names: one that begins with spaces belongs to the one before."""
+    """Yield figures with whole names: one that begins with spaces belongs to the one before.
+
+    Raises:
+        ValueError: two figures have one name, so that a table could not tell them apart.
+    """
     head = ""
+    told: set[str] = set()
     for name, figure, unit in figures:
         if not name.startswith(" "):
             head = name
-        yield name if name == head else f"{head}: {name.strip()}", figure, unit
+        whole = name if name == head else f"{head}: {name.strip()}"
+        if whole in told:
+            raise ValueError(f"figure {whole!r}: told twice; expected a name of its own")
+        told.add(whole)
+        yield whole, figure, unit
 
 
 def read(path: Path = TABLE) -> dict[str, Kept]:

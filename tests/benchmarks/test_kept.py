@@ -54,3 +54,11 @@ def test_benchmarks_are_chosen_by_part_of_a_name():
     assert modules([], every=False) == sorted(FELT)
     assert modules(["locks"], every=False) == ["bench_locks"]
     assert set(modules([], every=True)) > set(FELT)
+
+
+def test_figures_have_names_of_their_own():
+    figures = [("a lock", 1.0, "us"), ("  with flock", 2.0, "us"), ("turns", 3.0, "1/s")]
+    assert [name for name, *_ in kept.named(figures)] == ["a lock", "a lock: with flock", "turns"]
+    assert len(list(kept.named([*figures, ("  with flock", 4.0, "1/s")]))) == 4
+    with pytest.raises(ValueError, match=r"'a lock: with flock': told twice"):
+        list(kept.named([*figures[:2], ("  with flock", 4.0, "us")]))

@@ -185,13 +185,22 @@ class MydriveHwMotor(CanHardware[DriveOptions]):
         Raises:
             DeadlineExceeded: there was none.
         """
+        return self._await_status(
+            lambda: self.tell(code), is_there, f"a status after command {code}"
+        )
 
+    def await_taken(self) -> None:
+        """Wait until the drive has taken the last command. Raises as `obey`."""
+        self._await_status(lambda: None, lambda status: True, "a status after the last command")
+
+    def _await_status(
+        self, request: Callable[[], object], is_there: Callable[[Status], bool], awaited: str
+    ) -> Status:
         def is_answered() -> bool:
             status = self.status
             return status is not None and status.number == self.told and is_there(status)
 
-        awaited = f"a status after command {code}"
-        self.drive.exchange(lambda: self.tell(code), is_answered, _ANSWER_S, awaited)
+        self.drive.exchange(request, is_answered, _ANSWER_S, awaited)
         assert self.status is not None  # checked by is_answered
         return self.status
 
@@ -266,6 +275,9 @@ class MydriveMotor(CanMotor[MydriveHwMotor]):
             round(motion.deceleration * size),
         )
         self.hardware.drive.confirm(self.hardware.tell(MOVE, target))
+
+    def _confirm(self, motion: Motion) -> None:
+        self.hardware.await_taken()
 
     def _stop(self) -> None:
         size = self._physical.stop_deceleration(self.model.deceleration)
