@@ -21,7 +21,7 @@ BYTECODE := build/bytecode
 test: export PYTHONDONTWRITEBYTECODE :=
 test: export PYTHONPYCACHEPREFIX := $(CURDIR)/$(BYTECODE)
 
-.PHONY: help install demo docs wheel quick test waiting-tests working-tests check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled fuzz-compiled
+.PHONY: help install demo docs wheel quick test waiting-tests working-tests source-tests check style types bench bench-against fuzz mutants rule-mutants clauses golden format clean compiled build-compiled fuzz-compiled
 
 # It takes a second, compiling a minute or more: so nobody waits for compiled cores the first time.
 # What could not be built is not tried again before something has changed.
@@ -69,15 +69,18 @@ test: $(READY)  ## everything that must hold, on one machine, in minutes; PURE=1
 	@if [ "$(PURE)" = 1 ] || ! command -v $${CC:-cc} > /dev/null; then \
 	    exec $(BIN)/python -m pytest $(WORKERS); fi; \
 	$(MAKE) --no-print-directory compiled && \
-	$(MAKE) --no-print-directory --jobs 2 waiting-tests working-tests
+	$(MAKE) --no-print-directory --jobs 2 working-tests source-tests
 
 waiting-tests: $(READY)
-	@$(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "$(WAITING)" \
+	@unset MAKEFLAGS; $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "$(WAITING)" \
 	    > build/waiting.txt 2>&1; status=$$?; echo; cat build/waiting.txt; exit $$status
 
 working-tests: $(READY)
-	@nice $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "not ($(WAITING))" && \
-	MOTORHIL_HYPOTHESIS=brief nice $(BIN)/python -m pytest $(WORKERS) --cores pure
+	@unset MAKEFLAGS; nice $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "not ($(WAITING))"
+
+source-tests: waiting-tests
+	@unset MAKEFLAGS; MOTORHIL_HYPOTHESIS=brief nice $(BIN)/python -m pytest $(WORKERS) --cores pure \
+	    > build/sources.txt 2>&1; status=$$?; echo; cat build/sources.txt; exit $$status
 
 check: style types  ## style, types, import contracts, links and language of the documents
 	$(BIN)/lint-imports
@@ -153,7 +156,8 @@ built = case "$$(cat $(COMPILED)/.source 2>/dev/null)" in "$$source "[$(OPTIMISE
 compiled: $(READY)  ## the hot cores as C extensions; .venv/bin/motorhil takes them
 	@source=$(SOURCE); proof=$$($(BIN)/python -m motorhil.compiled); \
 	{ $(built) || $(MAKE) --no-print-directory build-compiled SOURCE="$$source"; } && \
-	    if $(built); then echo "$$proof" > $(COMPILED)/.proof; fi
+	    if $(built) && [ "$$(cat $(COMPILED)/.proof 2>/dev/null)" != "$$proof" ]; then \
+	    echo "$$proof" > $(COMPILED)/.proof; fi
 
 # Built from a copy, for a .so beside the sources would hide them; with the dependencies of .venv.
 # What was built before is used again, as long as the same modules are compiled in the same way.

@@ -14,6 +14,7 @@ from motorhil.harness.conformance.drives.objects import Mode
 _HM: Final = "CiA 402-2 / IEC 61800-7-201, homing mode"
 _CURRENT_POSITION: Final = (37, 35)
 _RESERVED: Final = (15, 16, 31, 32)
+_SETTLED_S: Final = 0.3
 _OFFSET: Final = 1000
 _SEARCH_S: Final = 60.0
 # CiA 402-2, homing methods: the edge by method, and the direction in which it is passed; methods
@@ -64,6 +65,7 @@ def home_is_here(bench: DriveBench) -> None:
         raise NotApplicable("6098h takes neither 37 nor 35")
     drive.require(od.HOME_OFFSET)
     drive.enable(Mode.HM)
+    drive.quiet(_SETTLED_S)  # a load falls until the drive is enabled
     before = drive.statusword()
     what = f"6041h, before homing with method {method}"
     drive.expect(not before & (od.BIT_12 | od.BIT_13), what, "bits 12, 13 = 0", f"{before:04X}h")

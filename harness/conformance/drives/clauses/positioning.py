@@ -246,6 +246,7 @@ def halt_and_continue(bench: DriveBench) -> None:
     halted = drive.until(lambda word: word & od.TARGET_REACHED != 0, STATE_S)
     seen = f"6041h = {drive.statusword():04X}h"
     drive.expect(halted is not None, "standstill with bit 8 = 1", "bit 10 = 1 (velocity 0)", seen)
+    drive.quiet()  # a load behind a spring comes to rest after the motor
     position = drive.read(od.POSITION)
     drive.quiet(0.2)
     moved = abs(drive.read(od.POSITION) - position)
