@@ -36,7 +36,8 @@ bus = "plant"
 unit = 1
 timing = {boot_up_s = 0, reply_s = 0}
 """
-COMMAND = Path(__file__).parents[2] / ".venv" / "bin" / "motorhil"  # takes compiled cores
+COMPILED = Path(__file__).parents[2] / ".venv-compiled" / "bin" / "python"
+_MOTORHIL = "import sys; from motorhil.harness.cli.main import main; sys.exit(main())"
 Work = Callable[[], list[float]]
 """Asks REQUESTS times, and returns the wall time of each request [s]."""
 
@@ -47,7 +48,9 @@ def _served() -> Iterator[tuple[int, int]]:
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.toml"
         rig.write_text(RIG)
-        words = [str(COMMAND), "serve", str(rig), "--modbus-tcp", "127.0.0.1:0"]
+        python = COMPILED if COMPILED.exists() else sys.executable
+        words = [str(python), "-P", "-c", _MOTORHIL, "serve", str(rig)]
+        words += ["--modbus-tcp", "127.0.0.1:0"]
         with _process(words) as said:
             yield int(said.split(":")[2].split(",")[0]), 0x1014
 
