@@ -108,6 +108,19 @@ def require_within(
         )
 
 
+def below_step(motor: str, quantity: str, value: float, least: float, unit: str) -> LimitError:
+    """Return the error for a value below the smallest step of a drive's units, `least`."""
+    return LimitError(
+        motor=motor,
+        quantity=quantity,
+        value=value,
+        low=least,
+        high=None,
+        unit=unit,
+        reason="it is below the smallest step of the drive's units",
+    )
+
+
 @final
 class DomainError(UsageError):
     """An argument outside the domain of a function.

@@ -23,7 +23,7 @@ from motorhil.frozen import frozen
 from motorhil.motorapi.api.line_exchanges import Exchange
 from motorhil.motorapi.api.line_unit import LineUnit
 from motorhil.motorapi.commands import ControlVariable
-from motorhil.motorapi.errors import LimitError, UsageError, require_within
+from motorhil.motorapi.errors import LimitError, UsageError, below_step, require_within
 from motorhil.motorapi.model import MotionKind
 from motorhil.motorapi.state import Fault, MotorState
 
@@ -398,15 +398,7 @@ class PolledHardware(ABC, Generic[UnitT]):
         per_unit, least = self._per_unit(model), 1.0 / self._rates(model)[0]
         is_way = round(motion.start * per_unit) != round(motion.target * per_unit)
         if is_way and motion.velocity < least * (1.0 - _ROUNDING):
-            raise LimitError(
-                motor=motor,
-                quantity="velocity limit",
-                value=motion.velocity,
-                low=least,
-                high=None,
-                unit=f"{model.unit}/s",
-                reason="it is below the smallest step of the drive's units",
-            )
+            raise below_step(motor, "velocity limit", motion.velocity, least, f"{model.unit}/s")
 
     def prepare(self, motion: "Motion", model: "MotorModel") -> None:
         """Prepare the motion, except for its trigger."""

@@ -316,6 +316,11 @@ class Drive:
         self.become(State.SWITCHED_ON, od.SWITCH_ON, "transition 3")
         self.become(State.OPERATION_ENABLED, od.ENABLE, "transition 4")
 
+    def enable_at_rest(self, mode: Mode, settled_s: float) -> None:
+        """Enable as `enable`, and wait for a load, which falls until then, to settle."""
+        self.enable(mode)
+        self.quiet(settled_s)
+
     # --- motion -------------------------------------------------------------------------------
 
     def units(self) -> Units:
@@ -427,6 +432,14 @@ class Drive:
             self.enable(Mode.PP)
             self.offer(self.read(od.POSITION) + pace.distance(_CRUISE_S), od.IMMEDIATELY)
         self.await_velocity(pace.velocity, 3 * pace.ramp_s + 0.5)
+
+    def largest_lag(self, pace: Pace, way: int, after_s: float) -> int:
+        """Return the largest 60F4h of a move in pp, and of so long after it; then disable."""
+        self.enable_at_rest(Mode.PP, 2.0 * pace.ramp_s)
+        self.offer(self.read(od.POSITION) + way, od.IMMEDIATELY)
+        track = self.watch(od.FOLLOWING_ERROR, lambda _: False, 2.0 * pace.ramp_s + after_s)
+        self.command(od.DISABLE_VOLTAGE)
+        return max(abs(one.value) for one in track)
 
     def await_velocity(self, velocity: int, within_s: float) -> None:
         """Expect 606Ch within 5 % of a velocity.

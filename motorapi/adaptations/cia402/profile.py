@@ -20,7 +20,7 @@ from typing import Final, final
 from motorhil.frozen import frozen
 from motorhil.motorapi.adaptations.cia402.units import DriveUnits
 from motorhil.motorapi.commands import ControlMode, ControlVariable
-from motorhil.motorapi.errors import LimitError, UnsupportedError
+from motorhil.motorapi.errors import LimitError, UnsupportedError, below_step
 from motorhil.motorapi.generation import shortest
 from motorhil.motorapi.model import MotionKind, MotorModel
 from motorhil.motorapi.motion import Motion
@@ -130,15 +130,8 @@ def _check_slowness(
 def _check_step(quantity: str, made: float, limit: float, units: DriveUnits) -> None:
     """Refuse a limit below the drive's smallest step, where rounding down ends."""
     if made > limit * (1.0 + _STEP_ROUNDING):
-        raise LimitError(
-            motor=units.motor,
-            quantity=f"{quantity} limit",
-            value=limit,
-            low=made,
-            high=None,
-            unit=f"{units.unit}/s" if quantity == "velocity" else f"{units.unit}/s²",
-            reason="it is below the smallest step of the drive's units",
-        )
+        unit = f"{units.unit}/s" if quantity == "velocity" else f"{units.unit}/s²"
+        raise below_step(units.motor, f"{quantity} limit", limit, made, unit)
 
 
 def check_limits(motor: str, profile: DriveProfile, units: DriveUnits, limits: DriveLimits) -> None:
@@ -419,15 +412,8 @@ def torque_profile_of(motion: Motion, unit: TorqueUnit) -> TorqueProfile:
         return TorqueProfile(target, STEEPEST)
     slope = floor(steps * (1.0 + 4e-16) + 1e-9)
     if slope < 1:
-        raise LimitError(
-            motor=unit.motor,
-            quantity="slope of torque",
-            value=motion.slope,
-            low=unit.size,
-            high=None,
-            unit=f"{unit.unit}/s",
-            reason="it is below the smallest step of the drive's units",
-        )
+        slowest = f"{unit.unit}/s"
+        raise below_step(unit.motor, "slope of torque", motion.slope, unit.size, slowest)
     return TorqueProfile(target, slope)
 
 

@@ -492,8 +492,7 @@ def interpolated_position(bench: DriveBench) -> None:
     start = drive.read(od.POSITION)
     step = 0.25 * pace.speed * SYNC_S
     operational(drive)
-    drive.enable(Mode.IP)
-    drive.quiet(2.0 * pace.ramp_s)  # a load falls until the drive is enabled
+    drive.enable_at_rest(Mode.IP, 2.0 * pace.ramp_s)
     for has_sync in (False, True):
         start = drive.read(od.POSITION)
         word = drive.statusword()

@@ -146,8 +146,7 @@ def position_range(bench: DriveBench) -> None:
     ):
         for share, wanted_share in cases:
             drive.set(od.POSITIONING, option)
-            drive.enable(Mode.PP)
-            drive.quiet(2.0 * pace.ramp_s)  # a load falls until the drive is enabled
+            drive.enable_at_rest(Mode.PP, 2.0 * pace.ramp_s)
             start = drive.read(od.POSITION)
             target = low + (start + round(share * size) - low) % size
             way = _travel(drive, pace, target, 0, size)

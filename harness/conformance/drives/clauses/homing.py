@@ -64,8 +64,7 @@ def home_is_here(bench: DriveBench) -> None:
     if method is None:
         raise NotApplicable("6098h takes neither 37 nor 35")
     drive.require(od.HOME_OFFSET)
-    drive.enable(Mode.HM)
-    drive.quiet(_SETTLED_S)  # a load falls until the drive is enabled
+    drive.enable_at_rest(Mode.HM, _SETTLED_S)
     before = drive.statusword()
     what = f"6041h, before homing with method {method}"
     drive.expect(not before & (od.BIT_12 | od.BIT_13), what, "bits 12, 13 = 0", f"{before:04X}h")

@@ -312,16 +312,6 @@ def _gains(drive: Drive) -> dict[Entry, int]:
     return found
 
 
-def _lag(drive: Drive, pace: Pace, way: int) -> int:
-    """Enable pp and move, once the motor rests; return the largest following error."""
-    drive.enable(Mode.PP)
-    drive.quiet(2.0 * pace.ramp_s)
-    drive.offer(drive.read(od.POSITION) + way, od.IMMEDIATELY)
-    track = drive.watch(od.FOLLOWING_ERROR, lambda _: False, 2.0 * pace.ramp_s + 2.0 * _CRUISE_S)
-    drive.command(od.DISABLE_VOLTAGE)
-    return max(abs(one.value) for one in track)
-
-
 @drive_clause("GAIN-01", Level.L2, source="CiA 402-2, 60F6h, 60F9h, 60FBh: control parameter sets")
 def gains_have_effect(bench: DriveBench) -> None:
     """With all its gains halved the motor lags otherwise, and with its own ones as before."""
@@ -339,7 +329,7 @@ def gains_have_effect(bench: DriveBench) -> None:
     for share, sign in ((1, 1), (2, -1), (1, 1)):
         for entry, value in gains.items():
             drive.write(entry, value // share)
-        lags.append(_lag(drive, pace, sign * way))
+        lags.append(drive.largest_lag(pace, sign * way, 2.0 * _CRUISE_S))
     own, halved, again = lags
     if own > way // 10:
         raise NotApplicable(f"60F4h = {own} on a way of {way}: the motor cannot follow its ramps")

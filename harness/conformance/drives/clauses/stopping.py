@@ -137,12 +137,7 @@ def _largest_error(drive: Drive) -> int | None:
     if not drive.has_mode(Mode.PP) or drive.find(od.FOLLOWING_ERROR) is None:
         return None
     pace = drive.pace()
-    drive.enable(Mode.PP)
-    drive.quiet(2.0 * pace.ramp_s)  # a load falls until the drive is enabled
-    drive.offer(drive.read(od.POSITION) + pace.distance(0.0), od.IMMEDIATELY)
-    track = drive.watch(od.FOLLOWING_ERROR, lambda _: False, 2.0 * pace.ramp_s + QUIET_S)
-    drive.command(od.DISABLE_VOLTAGE)
-    return max(abs(one.value) for one in track)
+    return drive.largest_lag(pace, pace.distance(0.0), QUIET_S)
 
 
 def _expect_option(bench: DriveBench, entry: Entry, word: int, state: State) -> None:

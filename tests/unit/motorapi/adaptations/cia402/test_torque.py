@@ -130,13 +130,19 @@ def test_simple_torque_trajectory_uses_the_drives_slope(rig: Rig):
     motor.stop()
 
 
-def test_two_torque_motors_start_sequentially_and_report_it(rig: Rig):
+def torque_group(rig: Rig, *durations_s: float) -> MotorGroup:
+    """Return two motors that ramp to 2 and 4 N·m in these times."""
     group = MotorGroup(motor_of(rig), motor_of(rig, "right"))
     group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY, ControlVariable.TORQUE)
+    ramps = zip((2.0, 4.0), durations_s, strict=True)
     group.set_trajectory(
-        TrapezoidalTrajectory(2.0, initial=0.0, duration_s=0.2),
-        TrapezoidalTrajectory(4.0, initial=0.0, duration_s=0.2),
+        *(TrapezoidalTrajectory(end, initial=0.0, duration_s=time_s) for end, time_s in ramps)
     )
+    return group
+
+
+def test_two_torque_motors_start_sequentially_and_report_it(rig: Rig):
+    group = torque_group(rig, 0.2, 0.2)
     capability = group.sync_capability()
     assert capability.level is SyncLevel.SEQUENTIAL
     assert "6071h" in capability.reason
@@ -148,12 +154,7 @@ def test_two_torque_motors_start_sequentially_and_report_it(rig: Rig):
 
 
 def test_end_skew_of_torque_ramps_is_that_of_their_durations(rig: Rig):
-    group = MotorGroup(motor_of(rig), motor_of(rig, "right"))
-    group.for_each(Cia402Motor.set_control_mode, ControlMode.TRAJECTORY, ControlVariable.TORQUE)
-    group.set_trajectory(
-        TrapezoidalTrajectory(2.0, initial=0.0, duration_s=0.2),
-        TrapezoidalTrajectory(4.0, initial=0.0, duration_s=0.5),
-    )
+    group = torque_group(rig, 0.2, 0.5)
     group.synchronization = Synchronization.NONE
     group.start()
     group.wait_until_done(timeout_s=1)
