@@ -258,5 +258,4 @@ def _sides(fit: Fit, samples: Samples) -> dict[str, Parameter]:
 
 def _row(one: Parameter, unit: str) -> tuple[str, ...]:
     remark = f"not seen: {one.unseen}; {one.remedy}" if one.unseen else ""
-    share = f"{one.relative:.1%}" if one.value else "-"
-    return one.name, f"{one.value:.5g}", unit_of(one.name, unit), share, remark
+    return one.name, one.told, unit_of(one.name, unit), one.share_told, remark

@@ -14,6 +14,7 @@ nonlinear system identification benchmarks; Gautier, "Dynamic identification of 
 model", ICRA 1997.
 """
 
+import math
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
@@ -68,6 +69,30 @@ class Parameter:
     def relative(self) -> float:
         """Standard deviation as a share of the value."""
         return abs(self.deviation / self.value) if self.value else float("inf")
+
+    @property
+    def told(self) -> str:
+        """Its value up to the second digit of its deviation, at least one digit.
+
+        More digits would say nothing, and differ between processors, which round differently.
+        """
+        if not self.value or not 0.0 < self.deviation < math.inf:
+            return f"{self.value:.5g}"
+        digits = 2 + _exponent(self.value) - _exponent(self.deviation)
+        return f"{self.value:.{max(1, digits)}g}"
+
+    @property
+    def share_told(self) -> str:
+        """Its deviation in percent, with two digits; "-" without a value."""
+        percent = 100.0 * self.relative
+        if not 0.0 < percent < math.inf:
+            return "-"
+        decimals = 1 - _exponent(percent)
+        return f"{round(percent, decimals):.{max(0, decimals)}f}%"
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value)))
 
 
 @final

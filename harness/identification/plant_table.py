@@ -47,7 +47,7 @@ def plant_keys(
     """
     if unit != "rad":
         return {}
-    values = {name: one.value for name, one in fit.parameters.items() if not one.unseen}
+    values = {name: float(one.told) for name, one in fit.parameters.items() if not one.unseen}
     keys: dict[str, float] = {}
     if "inertia" in values:
         load = values["inertia"] * resonance.load_share()
@@ -86,7 +86,7 @@ def table_of(fit: Fit, samples: Samples, gear: float, resonance: Resonance = _RI
     ]
     for one in fit.parameters.values():
         unit = unit_of(one.name, samples.unit)
-        told = f"# {one.name} at the output: {one.value:.5g} {unit}, deviation {one.relative:.1%}"
+        told = f"# {one.name} at the output: {one.told} {unit}, deviation {one.share_told}"
         lines.append(f"{told}; not seen: {one.unseen}; {one.remedy}" if one.unseen else told)
     lines += [f"# {one}" for one in (constant_told(samples.constant), resonance.told(), BACKLASH)]
     lines.append("[plant]")

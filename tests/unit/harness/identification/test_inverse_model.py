@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from motorhil.harness.identification.inverse_model import NAMES, effort_error, fitted
+from motorhil.harness.identification.inverse_model import NAMES, Parameter, effort_error, fitted
 from motorhil.harness.identification.plant_table import plant_keys, table_of
 from motorhil.harness.identification.samples import Samples
 from motorhil.harness.rig.config.toml import RigError
@@ -101,3 +101,21 @@ def test_a_measured_axis_agrees_with_what_was_published(shared):
         assert fit.parameters[name].unseen == ""
     assert fit.error <= 0.042
     assert effort_error(fit, emps(shared, "DATA_EMPS_PULSES.mat")) <= 0.061
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "told", "share"),
+    [
+        (0.064582, 0.00019, "0.06458", "0.29%"),
+        (0.0038312, 0.00101, "0.0038", "26%"),
+        (-0.00039337, 0.00167, "-0.0004", "420%"),
+        (1234.5678, 9.8, "1234.6", "0.79%"),
+        (9.99, 1.0, "10", "10%"),
+        (0.0, 0.1, "0", "-"),
+        (2.5, 0.0, "2.5", "-"),
+        (2.5, float("inf"), "2.5", "-"),
+    ],
+)
+def test_a_parameter_has_two_digits_of_its_deviation(value, deviation, told, share):
+    one = Parameter("inertia", value, deviation)
+    assert (one.told, one.share_told) == (told, share)

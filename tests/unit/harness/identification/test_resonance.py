@@ -77,7 +77,7 @@ def test_a_rigid_axis_has_none_and_says_how_far_it_was_seen():
 def test_a_resonance_divides_the_inertia_of_the_plant():
     samples = recording(0.0, duration_s=6.0)
     fit = fitted(samples)
-    inertia = fit.parameters["inertia"].value
+    inertia = float(fit.parameters["inertia"].told)
     found = Resonance(100.0, 20.0, 40.0)
     keys = plant_keys(fit, "rad", 2.0, found)
     assert found.load_share() == pytest.approx(0.75)
