@@ -33,11 +33,9 @@ COMPILED = (
     "emulators/cia402/*/*.py",
     "emulators/gateways/loop.py",
     "emulators/gateways/modbus_tcp.py",
-    "emulators/modbus/codes.py",
-    "emulators/modbus/registers.py",
-    "emulators/modbus/rtu.py",
-    "emulators/modbus/server.py",
-    "emulators/modbus/tcp.py",
+    "emulators/leadshine_pr/drive.py",
+    "emulators/modbus/*.py",
+    "emulators/oriental_az/drive.py",
     "harness/virtual_time/runtime.py",
     "harness/shared_time/participant.py",
     "harness/shared_time/records.py",
@@ -71,6 +69,7 @@ READ_AT_START = (  # once, when a rig opens
     "emulators/canopen/files/eds.py",
     "emulators/canopen/files/parameter_storage.py",
     "emulators/firmware/servo_tables.py",
+    "emulators/modbus/settings.py",
     "emulators/plant/presets.py",
 )
 RARE = (  # messages that a run may not have at all

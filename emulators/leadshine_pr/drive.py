@@ -16,15 +16,11 @@ from typing import Final, final
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
 from motorhil.emulators.leadshine_pr import registers as r
-from motorhil.emulators.modbus.drive import (
-    DriveBuilder,
-    ModbusDrive,
-    ModbusDriveSettings,
-    ModbusDriveTable,
-)
+from motorhil.emulators.leadshine_pr.settings import LeadshineTable
+from motorhil.emulators.modbus.drive import ModbusDrive
 from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
-from motorhil.frozen import frozen
+from motorhil.emulators.modbus.settings import DriveBuilder, ModbusDriveSettings
 
 _FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x11, 0x2B)
 _JOG_NS: Final = 50_000_000  # a jog ends so long after the last word that commands it: *
@@ -115,6 +111,8 @@ class LeadshinePr(ModbusDrive):
     def __init__(self, settings: ModbusDriveSettings) -> None:
         names = {0: "motorhil", 1: "PR-mode drive", 2: "1.0"}
         super().__init__(settings, RegisterBank(r.ROWS), Identification(names), _FUNCTIONS)
+        sides_rad = settings.limit_forward_rad, settings.limit_backward_rad
+        self._has_limits = sides_rad != (None, None)
         self._homing = Homing(self)
         self._path = _NONE  # that runs, or dwells
         self._waiting = _NONE  # that runs next
@@ -366,9 +364,7 @@ class LeadshinePr(ModbusDrive):
         due_ns = self._jog_until_ns
         if self.now_ns < self._dwell_until_ns < due_ns:  # after it, the target window is awaited
             due_ns = self._dwell_until_ns
-        has_limits = self.settings.limit_forward_rad is not None
-        has_limits = has_limits or self.settings.limit_backward_rad is not None
-        if self._homing.is_active() or (has_limits and self.is_running()):
+        if self._homing.is_active() or (self._has_limits and self.is_running()):
             tick_ns = self.settings.tick_ns
             due_ns = min(due_ns, (self.now_ns // tick_ns + 1) * tick_ns)
         return due_ns
@@ -406,12 +402,6 @@ class LeadshinePr(ModbusDrive):
     def own_truth(self) -> Mapping[str, float]:
         """Return its status word and the running path (-1: none)."""
         return {"status": float(self.status()), "path": float(self._path)}
-
-
-@final
-@frozen(kw_only=True, slots=False)
-class LeadshineTable(ModbusDriveTable):
-    """A PR-mode drive (Leadshine) on a Modbus line."""
 
 
 build: Final = DriveBuilder(LeadshinePr, r.ROWS, LeadshineTable)

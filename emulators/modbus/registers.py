@@ -223,21 +223,21 @@ class RegisterBank:
     def read(self, address: int, count: int) -> bytes:
         """Return the current content of the registers, two bytes each; requires `can_read`."""
         cells = self._cells
-        out = bytearray()
+        packed = 0  # one number, since each piece of bytes would cost a call
         end = address + count
         while address < end:
             cell = cells[address]
             raw = (cell.value if cell.reader is None else cell.reader()) & cell.mask
             if not cell.is_wide:
-                out += raw.to_bytes(2, "big")
+                packed = packed << 16 | raw
                 address += 1
-                continue
-            both = raw.to_bytes(4, "big")
-            first = 2 * (address - cell.address)
-            last = min(4, first + 2 * (end - address))
-            out += both[first:last]
-            address += (last - first) // 2
-        return bytes(out)
+            elif address == cell.address and address + 1 < end:
+                packed = packed << 32 | raw
+                address += 2
+            else:  # half of it
+                packed = packed << 16 | (raw >> 16 if address == cell.address else raw & 0xFFFF)
+                address += 1
+        return packed.to_bytes(2 * count, "big")
 
     def write(self, address: int, data: bytes) -> int:
         """Write the registers in the order of their addresses; requires `can_write`.

@@ -12,7 +12,6 @@ Source: MODBUS Application Protocol Specification V1.1b3, section 6 and its stat
 (diagnostics); 6.13, 6.19 and 6.21 (identification).
 """
 
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, final
@@ -56,7 +55,7 @@ _REGULAR_END: Final = 0x80
 _STREAMS: Final = {1: _BASIC_END, 2: _REGULAR_END, 3: 0x100}
 _INDIVIDUAL: Final = 4
 _HEAD: Final = 7
-_RANGE: Final = struct.Struct(">BHH")  # function, address, quantity
+_RANGE: Final = 5  # bytes: function, address, quantity
 
 
 @final
@@ -427,14 +426,15 @@ def _read_bits(bank: BitBank, request: bytes) -> bytes:
 
 
 def _read_registers(bank: RegisterBank, request: bytes) -> bytes:
-    if len(request) != _RANGE.size:
+    if len(request) != _RANGE:
         return _refused(request, ILLEGAL_DATA_VALUE)
-    function, address, count = _RANGE.unpack(request)
+    address = request[1] << 8 | request[2]
+    count = request[3] << 8 | request[4]
     if not 1 <= count <= codes.READ_REGISTERS_MAX:
         return _refused(request, ILLEGAL_DATA_VALUE)
     if not bank.can_read(address, count):
         return _refused(request, ILLEGAL_DATA_ADDRESS)
-    return bytes((function, 2 * count)) + bank.read(address, count)
+    return bytes((request[0], 2 * count)) + bank.read(address, count)
 
 
 def _refused(request: bytes, code: int) -> bytes:

@@ -8,22 +8,16 @@ Its encoder is absolute: the drive knows its position from power-on, also after 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Final, final
 
 from motorhil.emulators.firmware import flags as f
 from motorhil.emulators.firmware.axis import NEVER_NS
-from motorhil.emulators.modbus.drive import (
-    DriveBuilder,
-    ModbusDrive,
-    ModbusDriveSettings,
-    ModbusDriveTable,
-)
+from motorhil.emulators.modbus.drive import ModbusDrive
 from motorhil.emulators.modbus.registers import RegisterBank
 from motorhil.emulators.modbus.server import Identification
+from motorhil.emulators.modbus.settings import DriveBuilder, ModbusDriveSettings
 from motorhil.emulators.oriental_az import registers as r
-from motorhil.frozen import frozen
-from motorhil.settings import flag
+from motorhil.emulators.oriental_az.settings import OrientalTable
 
 _FUNCTIONS: Final = (0x03, 0x06, 0x08, 0x10, 0x17)
 _AUTO_OFF_NS: Final = 4_000_000
@@ -278,18 +272,6 @@ class OrientalAz(ModbusDrive):
     def own_truth(self) -> Mapping[str, float]:
         """Return its output word and its alarm."""
         return {"outputs": float(self.outputs()), "alarm": float(self.bank["alarm"])}
-
-
-@final
-@frozen(kw_only=True, slots=False)
-class OrientalTable(ModbusDriveTable):
-    """An AZ drive (Oriental Motor) with direct data operation on a Modbus line."""
-
-    trigger_auto_clear: bool = flag(True, "The drive resets its trigger after each operation.")
-
-    def settings(self, stream: str) -> ModbusDriveSettings:
-        """Return the settings of the drive; random clock values come from `stream`."""
-        return replace(super().settings(stream), trigger_auto_clear=self.trigger_auto_clear)
 
 
 build: Final = DriveBuilder(OrientalAz, r.ROWS, OrientalTable)

@@ -69,7 +69,6 @@ INTERPRETED = {
         "motorapi/adaptations/host_servo/node.py",
     ),
     "derives from interpreted classes, or is derived from; referred to weakly": (
-        "emulators/modbus/drive.py",
         "motorapi/adaptations/canopen/bus.py",
         "motorapi/adaptations/host_servo/hardware.py",
         "harness/python_can/bus.py",
