@@ -59,15 +59,15 @@ class ModbusDrive:
 
     def _set_registers(self) -> None:
         for key, value in self.settings.registers:
-            path = ("registers", key)
+            text, remedy = "", ""
             try:
                 self.bank.set_default(key, value)
             except KeyError:
-                raise SettingError(
-                    path, "is not a register of this drive", "see: motorhil list registers"
-                ) from None
+                text, remedy = "is not a register of this drive", "see: motorhil list registers"
             except ValueError as error:
-                raise SettingError(path, str(error)) from None
+                text = str(error)
+            if text:
+                raise SettingError(("registers", key), text, remedy)
 
     # --- hooks of a make -------------------------------------------------------------------------
 
