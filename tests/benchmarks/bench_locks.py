@@ -2,7 +2,8 @@
 
 Each worker keeps a processor busy. The scheduler stops some of them. Behind a stopped owner, all
 others wait. The same work without a lock shows how long a stop is, which bounds the worst wait.
-flock has no order, so its owner mostly takes it again at once.
+flock has no order, so its owner mostly takes it again at once. Turns of others during a wait show
+the order alone, whatever the scheduler does.
 """
 
 import fcntl
@@ -10,9 +11,10 @@ import os
 import statistics
 import tempfile
 import time
+from bisect import bisect_right
 from collections.abc import Callable
 
-from motorhil.harness.sharing_tests.history import Action, SharingViolated
+from motorhil.harness.sharing_tests.history import Action, Answer, SharingViolated
 from motorhil.harness.sharing_tests.processes import Outcome, Plan
 from motorhil.harness.sharing_tests.processes import run as contested
 from motorhil.harness.sharing_tests.workers import Desk
@@ -119,6 +121,16 @@ def _contested(work: str) -> Outcome:
     return contested(Plan(work, seconds=CONTEST_S, workers=4, facts=facts))
 
 
+def _turns_waited(outcome: Outcome) -> int:
+    """Return the most turns of others that began during a wait."""
+    takes = [one for one in outcome.uses if (one.action, one.answer) == (Action.TAKE, Answer.DONE)]
+    begun_ns = sorted(one.returned_ns for one in takes)
+    return max(
+        bisect_right(begun_ns, one.returned_ns) - 1 - bisect_right(begun_ns, one.called_ns)
+        for one in takes
+    )
+
+
 def _violations(outcome: Outcome) -> int:
     try:
         outcome.require_sound()
@@ -132,12 +144,14 @@ def run() -> list[tuple[str, float, str]]:
     ours_us, flock_us = _uncontended_us()
     write_us, renew_us, over_us = _held_us()
     rounds = [  # alternately, so that all meet the same disturbances
-        [_contested(work).waits_s for work in (OURS, FLOCK, FREE)] for _ in range(ROUNDS)
+        [_contested(work) for work in (OURS, FLOCK, FREE)] for _ in range(ROUNDS)
     ]
+    ours, peer, free = zip(*rounds, strict=True)
     ours_s, peer_s, free_s = (
-        statistics.median(waits_s[-1] for waits_s in them) for them in zip(*rounds, strict=True)
+        statistics.median(one.waits_s[-1] for one in them) for them in (ours, peer, free)
     )
-    turns, peer_turns, _ = (sum(map(len, them)) for them in zip(*rounds, strict=True))
+    order, peer_order = (max(map(_turns_waited, them)) for them in (ours, peer))
+    turns, peer_turns = (sum(len(one.waits_s) for one in them) for them in (ours, peer))
     killed = contested(Plan(OURS, seconds=10.0, kill_period_s=0.05))
     return [
         ("taking it and letting it go, nobody else there", ours_us, "us"),
@@ -149,6 +163,9 @@ def run() -> list[tuple[str, float, str]]:
         ("  with flock", peer_s * 1e3, "ms"),
         ("  ours against that", ours_s / peer_s, "x"),
         ("  without a lock: longest turn", free_s * 1e3, "ms"),
+        ("4 processes, 50 us inside: most turns of others during a wait", order, ""),
+        ("  with flock", peer_order, ""),
+        ("  ours against that", order / peer_order, "x"),
         ("4 processes, 50 us inside: turns a second", turns / ROUNDS / CONTEST_S, "1/s"),
         ("  with flock", peer_turns / ROUNDS / CONTEST_S, "1/s"),
         ("5 processes, one killed every 50 ms for 10 s: killed", killed.counts["killed"], ""),
