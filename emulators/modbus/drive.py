@@ -138,11 +138,10 @@ class ModbusDrive:
         if not self.is_powered or now_ns < self._ready_ns:
             return
         self._at(now_ns)
-        if data:
-            if self.rtu.receive(data, now_ns):
-                self.settle()
-        else:
+        if not data:
             self.rtu.spoiled()
+        elif self.rtu.receive(data, now_ns) or self.rtu.expire(now_ns):  # it may respond at once
+            self.settle()
 
     def sent(self, data: bytes, now_ns: int) -> bool | None:
         """Ignore that an own frame left the line."""

@@ -129,14 +129,15 @@ class RtuUnit:
         """Return when the response is due [ns], or None without a request."""
         return self._due_ns
 
-    def expire(self, now_ns: int) -> None:
-        """Respond with the current values if the response is due."""
+    def expire(self, now_ns: int) -> bool:
+        """Respond with the current values if the response is due; return whether it was."""
         if self._due_ns is None or now_ns < self._due_ns:
-            return
+            return False
         self._due_ns = None
         response = self.server.respond(self._request)
         if response:
             self._output.append(with_crc(bytes((self.unit,)) + response))
+        return True
 
     def take_output(self) -> list[bytes]:
         """Return and clear the frames to send now."""

@@ -4,11 +4,13 @@ Source: drives.md 7.1 A (agreement of several public drivers).
 """
 
 from math import pi
+from pathlib import Path
 
 import pytest
 
-from motorhil.emulators.controller import SettingError
+from motorhil.emulators.controller import ControllerContext, SettingError
 from motorhil.emulators.leadshine_pr.drive import build
+from motorhil.emulators.modbus.rtu import with_crc
 from tests.support.modbus.bench import ModbusBench, Refused
 
 STATUS, TRIGGER, FEEDBACK, ALARM, CONTROL = 0x1003, 0x6002, 0x1014, 0x2203, 0x1801
@@ -384,3 +386,15 @@ def test_set_zero_in_motion_is_ignored(bench):
     bench.run_ms(1000)
     assert bench.read(0x602C, 2) == 30_000
     assert bench.read(STATUS) == 0x0032
+
+
+@pytest.mark.parametrize(("reply_s", "answers"), [(0, 1), (0.001, 0)])
+def test_drive_without_delay_responds_at_once(reply_s, answers):
+    table = {"unit": 1, "timing": {"boot_up_s": 0, "reply_s": reply_s}}
+    drive = build(table, ControllerContext("drive", Path(), 1))
+    drive.start(0)
+    drive.receive(with_crc(bytes.fromhex("01 03 1003 0001")), 1_000_000)
+    assert len(drive.take_output()) == answers
+    assert drive.next_deadline_ns() == (None if answers else 2_000_000)
+    drive.expire(2_000_000)
+    assert len(drive.take_output()) == 1 - answers
