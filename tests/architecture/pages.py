@@ -74,6 +74,7 @@ make() {{
         eval "${{commands//.venv\\/bin\\//}}"
     fi
 }}
+pytest() {{ command python -P -m pytest "$@"; }}
 pip() {{ command python -m pip "$@" --quiet --disable-pip-version-check --no-index --no-deps \\
     --no-build-isolation --upgrade --target "$INSTALLED"; }}
 """

@@ -36,6 +36,7 @@ COMPILED_ALONE: Final = (
     ),
     *("properties/test_sharing*.py", "properties/test_skew*.py"),
     *("properties/test_formats*.py", "properties/test_d[ae]*.py", "properties/fuzz/*.py"),
+    "architecture/test_pages.py",  # commands of users, mostly simulations
 )
 _MARK: Final = "mark.pure("
 _TESTS: Final = CHECKOUT / "tests"
@@ -68,11 +69,9 @@ def tests_compiled_modules(folder: Path) -> bool:
 
 def meets_sources(path: Path) -> bool:
     """Return True if all tests of this file run on the pure cores, beside the compiled ones."""
-    if _is_in(path, OF_THE_SOURCES):
-        return True
     if _is_in(path, COMPILED_ALONE):
         return False
-    return _is_in(path, BOTH) or tests_compiled_modules(path.parent)
+    return _is_in(path, (*OF_THE_SOURCES, *BOTH)) or tests_compiled_modules(path.parent)
 
 
 def leave_out(path: Path, cores: str) -> bool:
@@ -80,7 +79,7 @@ def leave_out(path: Path, cores: str) -> bool:
     if path.suffix != ".py" or not path.name.startswith("test_"):
         return False
     if cores == "compiled":
-        return _is_in(path, OF_THE_SOURCES)
+        return _is_in(path, OF_THE_SOURCES) and not _is_in(path, COMPILED_ALONE)
     return not meets_sources(path) and _MARK not in path.read_text(encoding="utf-8")
 
 
