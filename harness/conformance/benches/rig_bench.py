@@ -316,6 +316,32 @@ class RigBench:
         self._is_used = True
         return self._motors[f"{physical_name(motor)}-{SECOND_USER}"]
 
+    @contextmanager
+    def killed_after(self, motor: Motor, messages: int) -> Iterator[Lost]:
+        """Kill this motor's program in the block, once it has sent so many messages on its bus."""
+        programs, bus = self._programs, self._bus(motor)
+        assert programs is not None, "the bench must be apart()"
+        port = programs.port(motor.name)
+        sent, watches = 0, [True]
+
+        def count(where: str, sender: str) -> None:
+            nonlocal sent
+            if watches and where == bus and sender == port:
+                sent += 1
+                if sent == messages:
+                    programs.kill(motor.name)
+
+        self.rig.world.tap_frames(lambda where, _now, sender, _frame: count(where, sender))
+        self.rig.world.tap_lines(
+            lambda where, _now, _first, _last, sender, _adu, _ok: count(where, sender)
+        )
+        try:
+            if messages == 0:
+                programs.kill(motor.name)
+            yield lambda: sent
+        finally:
+            watches.clear()
+
     def stated(self, of_drive: bool = False) -> Stated | None:
         """Return the settings of the motor, or of its drive; None: they are not declared."""
         motor = self._description.motors[self.facts.motors[0]]

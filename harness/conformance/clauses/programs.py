@@ -4,7 +4,7 @@ The motor under test is in one program, other users are in the other. They know 
 locks and by the bus only, as two processes do: `RigProtocol.apart`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import groupby, pairwise
@@ -57,6 +57,7 @@ _SLOW: Final = 2.0
 _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
 _ROUNDS: Final = 2
+_NEVER: Final = 1_000_000_000  # messages
 _TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
@@ -521,3 +522,82 @@ def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
             _leave(bench, other)
         _leave(bench, left)
         way = -way
+
+
+def _begin_pair(group: MotorGroup, way: float) -> None:
+    for motor in group:
+        prepare(motor, way)
+    group.start()
+
+
+def _begin_all(motors: Sequence[Motor], way: float) -> None:
+    """Start the motors together; a single one by a stream of set-points, if it can."""
+    if len(motors) > 1:
+        _begin_pair(MotorGroup(*motors), way)
+        return
+    try:
+        follow(motors[0], smooth_move(motors[0], way))
+    except UnsupportedError:
+        prepare(motors[0], way)
+        motors[0].start()
+
+
+def _kill_in_start(bench: RigProtocol, group: MotorGroup, way: float, messages: int) -> None:
+    """Start the group, and kill its program after so many messages, or when it has started."""
+    has_started = False
+
+    def start() -> None:
+        nonlocal has_started
+        _begin_pair(group, way)
+        has_started = True
+
+    with bench.killed_after(group[0], messages) as sent:
+        bench.runtime.spawn("start", start)
+        bench.runtime.wait_until(lambda: has_started or sent() >= messages, _PATIENCE_S)
+    if has_started:
+        with bench.killed_after(group[0], 0):
+            pass
+
+
+@clause(
+    "SYNC-23",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SECOND_MOTOR},
+    source="Sharing and locking: kill -9 leaves nothing that the next start would set in motion",
+)
+def start_of_killed_program_is_over(bench: RigProtocol) -> None:
+    """If a program is killed while it starts a group, no start of another program completes it."""
+    bench.apart()
+    _require_separate(bench.motors[0], bench.another_user_of(bench.motors[1]))
+    way = 0.2 * long_move(bench)
+    for left in (1, 3):  # the last message may start all motors at once
+        bench.apart()
+        motor, *mine = bench.motors
+        theirs = MotorGroup(*map(bench.another_user_of, (motor, mine[0])))
+        motor.position()  # connected: it keeps the drive on when its user is dead
+        _begin_pair(theirs, way)
+        finish_group(bench, theirs)
+        with bench.killed_after(theirs[0], _NEVER) as sent:
+            _begin_pair(theirs, -way)
+            messages = sent()
+        finish_group(bench, theirs)
+        _kill_in_start(bench, theirs, way, max(1, messages - left))
+        rest_for(bench, 2.0 * shortest_s(motor, way) + _LINGER_S)
+        what = f"a program was killed in the start of {motor.name} and {mine[0].name}"
+        for one in bench.motors:
+            one.enable()
+        before = [position_of(bench, one) for one in bench.motors]
+        if left > 1:  # the next start is that of a motor which the program has left
+            prepare(motor, -way, 4.0 * shortest_s(motor, way))
+            motor.start()
+        _begin_all(mine, -way)
+        for one in mine:
+            finish(bench, one)
+        if left > 1:
+            finish(bench, motor)
+            expect_moved(bench, motor, before[0], -way, what)
+        for one, was in zip(mine, before[1:], strict=True):
+            expect_moved(bench, one, was, -way, what)
+        made = abs(position_of(bench, motor) - before[0])
+        expect(left > 1 or made < 0.5 * abs(way), f"{what}: a start moved {motor.name} by {made:g}")
