@@ -150,9 +150,9 @@ class Programs:
         """The runtime of the first program."""
         return self._runtimes[0]
 
-    def link(self, bus: str) -> Link:
-        """Return the first program's connection to a bus or line."""
-        return self._link(False, bus)
+    def link(self, bus: str, motor: str = "") -> Link:
+        """Return the connection to a bus or line of this motor's program; "": of the first one."""
+        return self._link(self._is_second(motor), bus)
 
     def _motor(self, name: str) -> "Motor":
         second = self._is_second(name)

@@ -612,7 +612,8 @@ class RigBench:
     def commands_to(self, motor: Motor) -> Iterator[list[str]]:
         """Record host commands to the motor's drive that may move or change it, in the block.
 
-        If other users are of another program, those of the motor's own program.
+        If other users are of another program, those of the motor's own program. Messages that the
+        host has sent before the block may still wait for the bus; they do not count.
         """
         from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 
@@ -624,9 +625,14 @@ class RigBench:
         describe = self._decoder(motor) if kind == SERIAL else None
         listening = [True]
         port = None if self._programs is None else self._programs.port(motor.name)
+        before = self._link_of(bus, motor.name).pending()
 
         def is_host(sender: str) -> bool:
-            return sender.startswith(HOST) if port is None else sender == port
+            nonlocal before
+            is_own = sender.startswith(HOST) if port is None else sender == port
+            is_late = is_own and before > 0
+            before -= is_late
+            return is_own and not is_late
 
         def on_frame(where: str, _time_ns: int, sender: str, frame: bytes) -> None:
             if listening and where == bus and is_host(sender):
@@ -680,10 +686,13 @@ class RigBench:
 
     # --- helpers --------------------------------------------------------------------------
 
-    def _link_of(self, bus: str) -> "Link":
-        """Return the connection by which the motors under test send on a bus or line."""
+    def _link_of(self, bus: str, motor: str = "") -> "Link":
+        """Return the connection by which the motors under test send on a bus or line.
+
+        If there are two programs, that of this motor.
+        """
         if self._programs is not None:
-            return self._programs.link(bus)
+            return self._programs.link(bus, motor)
         return self.rig.line(bus) if self._description.buses[bus].is_line else self.rig.bus(bus)
 
     def _controller(self, motor: Motor) -> str:

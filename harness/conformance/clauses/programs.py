@@ -57,6 +57,7 @@ _SLOW: Final = 2.0
 _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
 _ROUNDS: Final = 2
+_SHARES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the messages of a start
 _NEVER: Final = 1_000_000_000  # messages
 _TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
@@ -601,3 +602,68 @@ def start_of_killed_program_is_over(bench: RigProtocol) -> None:
             expect_moved(bench, one, was, -way, what)
         made = abs(position_of(bench, motor) - before[0])
         expect(left > 1 or made < 0.5 * abs(way), f"{what}: a start moved {motor.name} by {made:g}")
+
+
+def _count_start(bench: RigProtocol, motor: Motor, way: float) -> int:
+    """Return the number of messages of a start of this motor, which moves by this distance."""
+    prepare(motor, way)
+    with bench.killed_after(motor, _NEVER) as sent:
+        motor.start()
+        messages = sent()
+    finish(bench, motor)
+    return messages
+
+
+def _lose_in_start(
+    bench: RigProtocol, motor: Motor, other: Motor, messages: int, what: str
+) -> None:
+    """Start the motor, and take it over once its program has sent so many messages."""
+    with bench.killed_after(motor, _NEVER) as sent:
+        party = bench.runtime.spawn("start", motor.start)
+        bench.runtime.wait_until(lambda: sent() >= messages, _PATIENCE_S)
+    with (
+        _silent(bench, motor, what),
+        other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S),
+    ):
+        expect(party.join(_PATIENCE_S), f"{what}: start() does not return")
+        error = party.error
+        is_told = isinstance(error, MotorBusyError | MotionInterrupted)
+        expect(is_told and "rescue" in str(error), f"{what}: start() ended with {error!r}")
+        before = position_of(bench, motor)
+        rest_for(bench, _LINGER_S)
+        expect_unmoved(bench, motor, before, what)
+
+
+@clause(
+    "PROC-16",
+    Level.L3,
+    needs=_MOVES,
+    bench=_TWO,
+    source=f"{_SOURCE}; motorapi.ownership.fencing",
+)
+def program_that_lost_motor_in_start_sends_nothing(bench: RigProtocol) -> None:
+    """If a program loses its motor while it starts it, it sends nothing more, and learns why."""
+    motor, other = _both(bench)
+    way = 0.2 * long_move(bench)
+    first = _count_start(bench, motor, way)
+    if Ability.TRAFFIC in bench.abilities:
+        with bench.commands_to(motor) as held:
+            rest_for(bench, _LINGER_S)
+        if held:
+            raise NotApplicable("its program commands it at rest, until another one does")
+    _leave(bench, motor)
+    usual = _count_start(bench, motor, -way)
+    for messages, is_first in ((usual, False), (first, True)):
+        for share in _SHARES:
+            last = round(share * messages)
+            if not 0 < last < messages:
+                continue  # a motion that has begun: PROC-09
+            if is_first:
+                motor, other = _both(bench)
+            else:
+                _leave(bench, motor)
+            prepare(motor, way, (2.0 + share) * shortest_s(motor, way))
+            start = "first start" if is_first else "start"
+            what = f"{motor.name} was taken over after {last} of {messages} messages of its {start}"
+            _lose_in_start(bench, motor, other, last, what)
+            way = -way
