@@ -267,6 +267,13 @@ def reader_waits_until_drive_is_set_up(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     way = 0.5 * long_move(bench)
     read: list[float] = []
+    with motor.reserve("tea"):
+        party = bench.runtime.spawn("reader", lambda: read.append(other.position()))
+        expect(party.join(_PATIENCE_S), f"position() of {other.name} waits for its user for ever")
+        is_right = party.error is None or isinstance(party.error, MotorBusyError)
+        expect(is_right, f"position() of {other.name}, never set up by its user: {party.error!r}")
+    motor, other = _both(bench)
+    read.clear()
     with motor.reserve("survey"):
         party = bench.runtime.spawn("reader", lambda: read.append(other.position()))
         rest_for(bench, _LINGER_S)
