@@ -71,6 +71,9 @@ class ProgramRuntime:
         """Wait as `VirtualRuntime.wait_until`."""
         result = self._runtime.wait_until(lambda: self.is_dead or done(), timeout_s)
         if self.is_dead:
+            party = self._runtime.party_of_thread()
+            if party is not None:
+                party.joined = True  # its error, when the rig is closed, would be that of a corpse
             self._runtime.wait_until(never)
         return result
 

@@ -58,6 +58,8 @@ _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
 _ROUNDS: Final = 2
 _SHARES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the messages of a start
+_DEATHS: Final = 8
+_LOST: Final = 2  # answers; a reading may be repeated
 _NEVER: Final = 1_000_000_000  # messages
 _TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
@@ -674,3 +676,45 @@ def program_that_lost_motor_in_start_sends_nothing(bench: RigProtocol) -> None:
             what = f"{motor.name} was taken over after {last} of {messages} messages of its {start}"
             _lose_in_start(bench, motor, other, last, what)
             way = -way
+
+
+@clause(
+    "PROC-17",
+    Level.L3,
+    needs=_MOVES,
+    bench=_TWO,
+    source="Sharing and locking: kill -9 at any moment; a line belongs to one exchange at a time",
+)
+def broken_exchange_disturbs_no_other(bench: RigProtocol) -> None:
+    """If a program gets no answer, or is killed before it comes, others use the drive as before."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    move(bench, other, way)
+    usual = _count_start(bench, other, -way)
+    if Ability.LOSE in bench.abilities:
+        motor.position()
+        with bench.lose_answers_of(motor, limit=_LOST):
+            failure_of(motor.position)
+        before = position_of(bench, other)
+        move(bench, other, way)
+        expect_moved(bench, other, before, way, "another program has got no answer")
+    step = max(1, usual // (2 * _DEATHS))  # commands come in the second half, behind readings
+    for messages in range(max(1, usual // 2), max(2, usual), step):
+        motor, other = _both(bench)
+        move(bench, other, way)
+        motor.position()
+        prepare(other, -way)
+        before = position_of(bench, other)
+        with bench.killed_after(motor, messages):
+            bench.runtime.spawn("reader", partial(_read, motor))
+            other.start()
+        finish(bench, other)
+        what = f"a program was killed after {messages} of its messages beside a start"
+        expect_moved(bench, other, before, -way, what)
+
+
+def _read(motor: Motor) -> None:
+    """Read the motor's position until its program is killed."""
+    while True:
+        motor.position()
+        motor.runtime.wait_until(lambda: False, 0.001)
