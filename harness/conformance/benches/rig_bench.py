@@ -206,9 +206,9 @@ class RigBench:
 
     def _read(self, reader: str) -> None:
         """Read a motor's position as another program does, whatever the drive answers."""
-        runtime, motor = self.runtime, self._motors[reader]
+        motor = self._motors[reader]
         while True:
-            runtime.wait_until(lambda: False, _READ_PERIOD_S)
+            motor.runtime.wait_until(lambda: False, _READ_PERIOD_S)
             with suppress(MotorError):
                 motor.position()
 
