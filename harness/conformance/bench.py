@@ -119,6 +119,14 @@ class RigProtocol(Protocol):
         (Ability.SECOND_PROGRAM).
         """
 
+    def killed_after(self, motor: "Motor", messages: int) -> AbstractContextManager[Lost]:
+        """Kill this motor's program in the block, once it has sent so many messages on its bus.
+
+        It ends as by `kill -9`: frames that it has queued are still sent, and the kernel lets go of
+        its locks (Ability.SECOND_PROGRAM). Yields the number of messages sent so far. The program
+        is called in a party of its own, which may never end.
+        """
+
     def owners_of(self, motor: "Motor") -> AbstractContextManager[Sequence[Announced]]:
         """Record what programs announce of a motor's ownership, in the block (Ability.OWNERS)."""
 

@@ -303,6 +303,10 @@ class EmulatedBus(can.BusABC):
         """The number of unread frames discarded, oldest first (at most 65,536 wait)."""
         return self._queue.dropped
 
+    def pending(self) -> int:
+        """Return the number of own frames that are not yet sent; 0 over a socket."""
+        return 0 if self._port is None else self._port.pending()
+
     def transmit(self, frame: bytes) -> None:
         """Queue the frame for transmission on the bus.
 

@@ -111,6 +111,10 @@ class EmulatedLine:
         except ValueError as error:
             raise LinkError(link=self.name, reason=str(error)) from None
 
+    def pending(self) -> int:
+        """Return 1 if a message is not yet sent completely, else 0."""
+        return min(1, self._port.pending())
+
     def set_reading(self, reads: bool) -> None:
         """Pass on what comes, or drop it: answers to other programs that share the line."""
         self._reads = reads

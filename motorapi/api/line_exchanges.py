@@ -13,7 +13,8 @@ On a serial line, all bytes received since a request must be its answer, complet
 sum. A late answer looks like the answer to the next request. So after a request without an answer
 in time the line is in *quarantine*. The next request waits until the late answer has arrived
 completely (it is dropped), or a time limit has passed. Posted requests do not wait for that, and
-do not end it: the late answer may still follow the answer to the posted request.
+do not end it: the late answer may still follow the answer to the posted request. The same time
+limit holds after the death of another process within an exchange, whose answer may be on its way.
 
 On TCP the transaction identifier distinguishes answers. So half of a late answer does no harm. A
 connection that ends within an answer or is silent for 2 s has ended as well.
@@ -214,6 +215,7 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         self._idle_ns = 0  # end of the last exchange, with its quarantine
         self._silent_ns = 0  # end of the required silence
         self._ours_ns = 0  # end of the silence after the use by another program
+        self._left_ns = 0  # end of the quarantine after the death of another program
         self._owed: list[Exchange[RequestT, AnswerT]] = []  # their late answers may still come ...
         self._owed_until_ns = 0  # ... until then
         self._timer: Registration | None = None
@@ -417,7 +419,8 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
         elif self._owed:
             silent_ns = max(silent_ns, self._owed_until_ns)
         if silent_ns <= now_ns and self._take_lock():
-            return max(0, self._ours_ns - now_ns)
+            until_ns = self._ours_ns if exchange.is_posted else max(self._ours_ns, self._left_ns)
+            return max(0, until_ns - now_ns)
         if now_ns - since_ns < _PATIENCE_NS:
             return silent_ns - now_ns if silent_ns > now_ns else _LOCKED_NS
         if exchange.is_posted:
@@ -440,6 +443,8 @@ class ExchangeLine(ABC, Generic[RequestT, AnswerT]):
             return False
         if self._hold.changed_hands and self.HAS_SILENCES:  # another program has used the line
             self._ours_ns = self.runtime.now_ns() + self.line.silence_ns
+        if self._hold.was_abandoned and not self._is_tcp:
+            self._left_ns = self.runtime.now_ns() + self.QUARANTINE_NS
         self._set_reading(True)
         return True
 

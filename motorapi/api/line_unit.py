@@ -42,7 +42,10 @@ _READ_NS: Final = 2_000_000_000  # after this time a request is not repeated
 def _open(kind: type[LineT], line: ByteLine, runtime: "Runtime") -> LineT:
     def make() -> LineT:
         where = line_name(line) if can_share_time(runtime) else None
-        lock = None if where is None else ProcessLock(f"{where}-exchange", f"the line {line.name}")
+        lock: ProcessLock | None = None
+        if where is not None:
+            label = f"the line {line.name}"
+            lock = ProcessLock(f"{where}-exchange", label, runtime=runtime)
         return kind(line, runtime, lock)
 
     known = context_of(line).parts.part(kind, make)

@@ -585,6 +585,9 @@ class ProcessLock:
         label: the locked object in words, for errors and lists ("can0 node 3").
         directory: its directory; None: that of the user, or from MOTORHIL_LOCK_DIR.
         runtime: where its users wait; leases are in its time if processes share that.
+
+    Attributes:
+        runtime: see above.
     """
 
     def __init__(
@@ -598,6 +601,7 @@ class ProcessLock:
             raise UsageError(f"lock {name!r}: must be 1 to 200 characters, no '/', no '.' in front")
         self.name: Final = name
         self.label: Final = label
+        self.runtime: Final = runtime
         self._directory: Final = LockDirectory() if directory is None else directory
         self.clock: Final[Callable[[], int]] = (
             runtime.now_ns if isinstance(runtime, SharedTime) else time.monotonic_ns
@@ -613,6 +617,7 @@ class ProcessLock:
         self._mutex = threading.Lock()
         self._watcher = QueueWatcher(self._open)
         self._spares: list[LockFile] = []  # free files; its operations are atomic
+        self._files: weakref.WeakSet[LockFile] = weakref.WeakSet()  # all open ones
         self._hold: LockHandle | None = None
         self._writing: dict[int, list[LockHandle]] = {}  # by thread
 
@@ -804,8 +809,14 @@ class ProcessLock:
             while True:
                 self._spares.pop().close()
 
+    def abandon(self) -> None:
+        """Close all files without a release, as the kernel does when a process dies."""
+        for file in tuple(self._files):
+            file.close()
+
     def _open(self) -> LockFile:
         file = LockFile(self._directory, self.name)
+        self._files.add(file)
         if file.is_new:  # the directory grows
             remove_unused(self._directory)
         return file
@@ -880,6 +891,15 @@ def close_spare_files(directory: Path) -> None:
     for lock in locks:
         if lock.directory == directory:
             lock.close()
+
+
+def abandon_locks(runtime: Runtime) -> None:
+    """Abandon all locks whose users wait in this runtime, as if their process had died."""
+    with _all_lock:
+        locks = tuple(_all)
+    for lock in locks:
+        if lock.runtime is runtime:
+            lock.abandon()
 
 
 def this_process() -> ThisProcess:

@@ -45,7 +45,10 @@ _SAMPLED = frozenset(  # by the host: positions by functions of time, ramps of v
         *("LOST-07", "LOST-08", "LOW-06", "PAR-02", "HOME-05", *_OF_CANOPEN),
     }
 )
-_OF_PROGRAMS = ("PROC-08", "PROC-09", "PROC-10", "PROC-11", "PROC-12", "SYNC-21", "SYNC-22")
+_OF_PROGRAMS = (
+    *("PROC-08", "PROC-09", "PROC-10", "PROC-11", "PROC-12", "PROC-16", "PROC-17"),
+    *("SYNC-21", "SYNC-22", "SYNC-23"),
+)
 _OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
 NOT_APPLICABLE = {
     "cia402": frozenset({"SET-07"}),
@@ -93,7 +96,8 @@ NOT_APPLICABLE = {
     "software": frozenset(
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
-            *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22"),  # its motors share a node
+            *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22", "SYNC-23"),  # on one node
+            "PROC-16",  # its program holds a motor at rest by commands
             *("SET-05", "SYNC-05", "PAR-02", "FAULT-09", "MEAS-06"),
         }
     ),

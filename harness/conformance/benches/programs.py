@@ -5,6 +5,10 @@ holders apart by their files, and not by their processes. So the motors of the t
 each other only by the bus and by the locks.
 
 Both programs wait in the rig's time. Leases are in that time, too.
+
+A program may be killed. Then no line of it runs any more: its timers and listeners are silent, and
+its parties wait until the rig is closed. As the kernel does for a process, its lock files are
+closed without a release, and frames that it has queued are still sent.
 """
 
 import os
@@ -22,9 +26,10 @@ from motorhil.harness.rig.names import Named
 from motorhil.harness.rig.plugins import RigPlugins
 from motorhil.harness.rig.reading import read_models
 from motorhil.harness.rig.rig import Rig
+from motorhil.harness.virtual_time.runtime import never
 from motorhil.motorapi.bus_context import BusContext
 from motorhil.motorapi.locking.directory import VARIABLE
-from motorhil.motorapi.locking.process_lock import close_spare_files
+from motorhil.motorapi.locking.process_lock import abandon_locks, close_spare_files
 from motorhil.motorapi.synchronization.bus_load import declare_traffic
 
 if TYPE_CHECKING:
@@ -45,11 +50,18 @@ class ProgramRuntime:
 
     Attributes:
         context: the state that this program keeps for motors without a bus.
+        is_dead: True once the program was killed.
     """
 
     def __init__(self, runtime: "VirtualRuntime") -> None:
         self.context: Final = BusContext()
+        self.is_dead: bool = False
         self._runtime: Final = runtime
+
+    def die(self) -> None:
+        """End the program at this instant, as `kill -9` does."""
+        self.is_dead = True
+        abandon_locks(self)
 
     def now_ns(self) -> int:
         """Return the time [ns]."""
@@ -57,7 +69,13 @@ class ProgramRuntime:
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float | None = None) -> bool:
         """Wait as `VirtualRuntime.wait_until`."""
-        return self._runtime.wait_until(done, timeout_s)
+        result = self._runtime.wait_until(lambda: self.is_dead or done(), timeout_s)
+        if self.is_dead:
+            party = self._runtime.party_of_thread()
+            if party is not None:
+                party.joined = True  # its error, when the rig is closed, would be that of a corpse
+            self._runtime.wait_until(never)
+        return result
 
     def watching_processes(self) -> AbstractContextManager[None]:
         """Return a context for waits: they look again after each turn of a party in any case."""
@@ -69,7 +87,7 @@ class ProgramRuntime:
 
     def every(self, period_s: float, action: Callable[[], None]) -> "Registration":
         """Run `action` every `period_s` [s]."""
-        return self._runtime.every(period_s, action)
+        return self._runtime.every(period_s, lambda: None if self.is_dead else action())
 
     def spawn(self, name: str, function: Callable[[], None]) -> "Party":
         """Run `function` as a further party."""
@@ -79,11 +97,17 @@ class ProgramRuntime:
         self, bus: "can.BusABC", on_frame: "FrameListener", *, fd: bool = False
     ) -> "Registration":
         """Call `on_frame` for every frame on `bus`."""
-        return self._runtime.listen(bus, on_frame, fd=fd)
+
+        def hear(frame: bytes, time_ns: int, transmitted: bool) -> None:
+            if not self.is_dead:
+                on_frame(frame, time_ns, transmitted)
+
+        return self._runtime.listen(bus, hear, fd=fd)
 
     def send(self, bus: "can.BusABC", frame: bytes) -> None:
         """Queue a frame on `bus`."""
-        self._runtime.send(bus, frame)
+        if not self.is_dead:
+            self._runtime.send(bus, frame)
 
 
 @final
@@ -116,6 +140,10 @@ class Programs:
         """Close the motors and connections of both programs."""
         self._cleanup.close()
 
+    def kill(self, motor: str) -> None:
+        """Kill the program of this motor."""
+        self._runtimes[self._is_second(motor)].die()
+
     def port(self, motor: str) -> str:
         """Return the name of the port by which the program of this motor sends."""
         return _PORTS[self._is_second(motor)]
@@ -125,20 +153,21 @@ class Programs:
         """The runtime of the first program."""
         return self._runtimes[0]
 
-    def link(self, bus: str) -> Link:
-        """Return the first program's connection to a bus or line."""
-        return self._link(False, bus)
+    def link(self, bus: str, motor: str = "") -> Link:
+        """Return the connection to a bus or line of this motor's program; "": of the first one."""
+        return self._link(self._is_second(motor), bus)
 
     def _motor(self, name: str) -> "Motor":
         second = self._is_second(name)
         described = self._rig.description.motors[name].controller
         core = None if described is None else self._rig.world.controller(described)
+        runtime = self._runtimes[second]
         built, close, _ = self._plugins.motor(
-            *(name, self._models[name], self._runtimes[second]),
+            *(name, self._models[name], runtime),
             lambda bus: self._link(second, bus),
             core,
         )
-        self._cleanup.callback(close)
+        self._cleanup.callback(lambda: None if runtime.is_dead else close())
         return built
 
     def _link(self, second: bool, bus: str) -> Link:

@@ -206,9 +206,9 @@ class RigBench:
 
     def _read(self, reader: str) -> None:
         """Read a motor's position as another program does, whatever the drive answers."""
-        runtime, motor = self.runtime, self._motors[reader]
+        motor = self._motors[reader]
         while True:
-            runtime.wait_until(lambda: False, _READ_PERIOD_S)
+            motor.runtime.wait_until(lambda: False, _READ_PERIOD_S)
             with suppress(MotorError):
                 motor.position()
 
@@ -315,6 +315,32 @@ class RigBench:
         """Return another logical motor on the same physical motor."""
         self._is_used = True
         return self._motors[f"{physical_name(motor)}-{SECOND_USER}"]
+
+    @contextmanager
+    def killed_after(self, motor: Motor, messages: int) -> Iterator[Lost]:
+        """Kill this motor's program in the block, once it has sent so many messages on its bus."""
+        programs, bus = self._programs, self._bus(motor)
+        assert programs is not None, "the bench must be apart()"
+        port = programs.port(motor.name)
+        sent, watches = 0, [True]
+
+        def count(where: str, sender: str) -> None:
+            nonlocal sent
+            if watches and where == bus and sender == port:
+                sent += 1
+                if sent == messages:
+                    programs.kill(motor.name)
+
+        self.rig.world.tap_frames(lambda where, _now, sender, _frame: count(where, sender))
+        self.rig.world.tap_lines(
+            lambda where, _now, _first, _last, sender, _adu, _ok: count(where, sender)
+        )
+        try:
+            if messages == 0:
+                programs.kill(motor.name)
+            yield lambda: sent
+        finally:
+            watches.clear()
 
     def stated(self, of_drive: bool = False) -> Stated | None:
         """Return the settings of the motor, or of its drive; None: they are not declared."""
@@ -586,7 +612,8 @@ class RigBench:
     def commands_to(self, motor: Motor) -> Iterator[list[str]]:
         """Record host commands to the motor's drive that may move or change it, in the block.
 
-        If other users are of another program, those of the motor's own program.
+        If other users are of another program, those of the motor's own program. Messages that the
+        host has sent before the block may still wait for the bus; they do not count.
         """
         from motorhil.harness.sharing_tests.bus_evidence import commanded_node
 
@@ -598,9 +625,14 @@ class RigBench:
         describe = self._decoder(motor) if kind == SERIAL else None
         listening = [True]
         port = None if self._programs is None else self._programs.port(motor.name)
+        before = self._link_of(bus, motor.name).pending()
 
         def is_host(sender: str) -> bool:
-            return sender.startswith(HOST) if port is None else sender == port
+            nonlocal before
+            is_own = sender.startswith(HOST) if port is None else sender == port
+            is_late = is_own and before > 0
+            before -= is_late
+            return is_own and not is_late
 
         def on_frame(where: str, _time_ns: int, sender: str, frame: bytes) -> None:
             if listening and where == bus and is_host(sender):
@@ -654,10 +686,13 @@ class RigBench:
 
     # --- helpers --------------------------------------------------------------------------
 
-    def _link_of(self, bus: str) -> "Link":
-        """Return the connection by which the motors under test send on a bus or line."""
+    def _link_of(self, bus: str, motor: str = "") -> "Link":
+        """Return the connection by which the motors under test send on a bus or line.
+
+        If there are two programs, that of this motor.
+        """
         if self._programs is not None:
-            return self._programs.link(bus)
+            return self._programs.link(bus, motor)
         return self.rig.line(bus) if self._description.buses[bus].is_line else self.rig.bus(bus)
 
     def _controller(self, motor: Motor) -> str:

@@ -243,6 +243,10 @@ class WallBench:
         """Raise NotApplicable: a program has its own process here."""
         _refuse(Ability.SECOND_PROGRAM)
 
+    def killed_after(self, motor: Motor, messages: int) -> AbstractContextManager[Lost]:
+        """Raise NotApplicable: a program has its own process here."""
+        _refuse(Ability.SECOND_PROGRAM)
+
     def owners_of(self, motor: Motor) -> AbstractContextManager[Sequence[Announced]]:
         """Raise NotApplicable."""
         _refuse(Ability.OWNERS)

@@ -4,7 +4,7 @@ The motor under test is in one program, other users are in the other. They know 
 locks and by the bus only, as two processes do: `RigProtocol.apart`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import groupby, pairwise
@@ -41,6 +41,7 @@ from motorhil.motorapi import (
     MotionInterrupted,
     Motor,
     MotorBusyError,
+    MotorError,
     MotorGroup,
     MotorState,
     TrapezoidalTrajectory,
@@ -57,6 +58,10 @@ _SLOW: Final = 2.0
 _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
 _ROUNDS: Final = 2
+_SHARES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the messages of a start
+_DEATHS: Final = 8
+_LOST: Final = 2  # answers; a reading may be repeated
+_NEVER: Final = 1_000_000_000  # messages
 _TAKES: Final = (LockAction.TAKEN, LockAction.BROKEN, LockAction.TAKEN_OVER)
 
 
@@ -265,6 +270,13 @@ def reader_waits_until_drive_is_set_up(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     way = 0.5 * long_move(bench)
     read: list[float] = []
+    with motor.reserve("tea"):
+        party = bench.runtime.spawn("reader", lambda: read.append(other.position()))
+        expect(party.join(_PATIENCE_S), f"position() of {other.name} waits for its user for ever")
+        is_right = party.error is None or isinstance(party.error, MotorBusyError)
+        expect(is_right, f"position() of {other.name}, never set up by its user: {party.error!r}")
+    motor, other = _both(bench)
+    read.clear()
     with motor.reserve("survey"):
         party = bench.runtime.spawn("reader", lambda: read.append(other.position()))
         rest_for(bench, _LINGER_S)
@@ -521,3 +533,190 @@ def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
             _leave(bench, other)
         _leave(bench, left)
         way = -way
+
+
+def _begin_pair(group: MotorGroup, way: float) -> None:
+    for motor in group:
+        prepare(motor, way)
+    group.start()
+
+
+def _begin_all(motors: Sequence[Motor], way: float) -> None:
+    """Start the motors together; a single one by a stream of set-points, if it can."""
+    if len(motors) > 1:
+        _begin_pair(MotorGroup(*motors), way)
+        return
+    try:
+        follow(motors[0], smooth_move(motors[0], way))
+    except UnsupportedError:
+        prepare(motors[0], way)
+        motors[0].start()
+
+
+def _kill_in_start(bench: RigProtocol, group: MotorGroup, way: float, messages: int) -> None:
+    """Start the group, and kill its program after so many messages, or when it has started."""
+    has_started = False
+
+    def start() -> None:
+        nonlocal has_started
+        _begin_pair(group, way)
+        has_started = True
+
+    with bench.killed_after(group[0], messages) as sent:
+        bench.runtime.spawn("start", start)
+        bench.runtime.wait_until(lambda: has_started or sent() >= messages, _PATIENCE_S)
+    if has_started:
+        with bench.killed_after(group[0], 0):
+            pass
+
+
+@clause(
+    "SYNC-23",
+    Level.L4,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SECOND_MOTOR},
+    source="Sharing and locking: kill -9 leaves nothing that the next start would set in motion",
+)
+def start_of_killed_program_is_over(bench: RigProtocol) -> None:
+    """If a program is killed while it starts a group, no start of another program completes it."""
+    bench.apart()
+    _require_separate(bench.motors[0], bench.another_user_of(bench.motors[1]))
+    way = 0.2 * long_move(bench)
+    for left in (1, 3):  # the last message may start all motors at once
+        bench.apart()
+        motor, *mine = bench.motors
+        theirs = MotorGroup(*map(bench.another_user_of, (motor, mine[0])))
+        motor.position()  # connected: it keeps the drive on when its user is dead
+        _begin_pair(theirs, way)
+        finish_group(bench, theirs)
+        with bench.killed_after(theirs[0], _NEVER) as sent:
+            _begin_pair(theirs, -way)
+            messages = sent()
+        finish_group(bench, theirs)
+        _kill_in_start(bench, theirs, way, max(1, messages - left))
+        rest_for(bench, 2.0 * shortest_s(motor, way) + _LINGER_S)
+        what = f"a program was killed in the start of {motor.name} and {mine[0].name}"
+        for one in bench.motors:
+            if one.state() is MotorState.FAULT:  # some drives miss their host
+                one.reset_fault()
+            one.enable()
+        before = [position_of(bench, one) for one in bench.motors]
+        if left > 1:  # the next start is that of a motor which the program has left
+            prepare(motor, -way, 4.0 * shortest_s(motor, way))
+            motor.start()
+        _begin_all(mine, -way)
+        for one in mine:
+            finish(bench, one)
+        if left > 1:
+            finish(bench, motor)
+            expect_moved(bench, motor, before[0], -way, what)
+        for one, was in zip(mine, before[1:], strict=True):
+            expect_moved(bench, one, was, -way, what)
+        made = abs(position_of(bench, motor) - before[0])
+        expect(left > 1 or made < 0.5 * abs(way), f"{what}: a start moved {motor.name} by {made:g}")
+
+
+def _count_start(bench: RigProtocol, motor: Motor, way: float) -> int:
+    """Return the number of messages of a start of this motor, which moves by this distance."""
+    prepare(motor, way)
+    with bench.killed_after(motor, _NEVER) as sent:
+        motor.start()
+        messages = sent()
+    finish(bench, motor)
+    return messages
+
+
+def _lose_in_start(
+    bench: RigProtocol, motor: Motor, other: Motor, messages: int, what: str
+) -> None:
+    """Start the motor, and take it over once its program has sent so many messages."""
+    with bench.killed_after(motor, _NEVER) as sent:
+        party = bench.runtime.spawn("start", motor.start)
+        bench.runtime.wait_until(lambda: sent() >= messages, _PATIENCE_S)
+    with (
+        _silent(bench, motor, what),
+        other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S),
+    ):
+        expect(party.join(_PATIENCE_S), f"{what}: start() does not return")
+        error = party.error  # a drive that obeys its new owner may not answer as expected
+        expect(isinstance(error, MotorError), f"{what}: start() ended with {error!r}")
+        before = position_of(bench, motor)
+        rest_for(bench, _LINGER_S)
+        expect_unmoved(bench, motor, before, what)
+
+
+@clause(
+    "PROC-16",
+    Level.L3,
+    needs=_MOVES,
+    bench=_TWO,
+    source=f"{_SOURCE}; motorapi.ownership.fencing",
+)
+def program_that_lost_motor_in_start_sends_nothing(bench: RigProtocol) -> None:
+    """If a program loses its motor while it starts it, the start fails, and sends nothing more."""
+    motor, other = _both(bench)
+    way = 0.2 * long_move(bench)
+    first = _count_start(bench, motor, way)
+    if Ability.TRAFFIC in bench.abilities:
+        with bench.commands_to(motor) as held:
+            rest_for(bench, _LINGER_S)
+        if held:
+            raise NotApplicable("its program commands it at rest, until another one does")
+    _leave(bench, motor)
+    usual = _count_start(bench, motor, -way)
+    for messages, is_first in ((usual, False), (first, True)):
+        for share in _SHARES:
+            last = round(share * messages)
+            if not 0 < last < messages:
+                continue  # a motion that has begun: PROC-09
+            if is_first:
+                motor, other = _both(bench)
+            else:
+                _leave(bench, motor)
+            prepare(motor, way, (2.0 + share) * shortest_s(motor, way))
+            start = "first start" if is_first else "start"
+            what = f"{motor.name} was taken over after {last} of {messages} messages of its {start}"
+            _lose_in_start(bench, motor, other, last, what)
+            way = -way
+
+
+@clause(
+    "PROC-17",
+    Level.L3,
+    needs=_MOVES,
+    bench=_TWO,
+    source="Sharing and locking: kill -9 at any moment; a line belongs to one exchange at a time",
+)
+def broken_exchange_disturbs_no_other(bench: RigProtocol) -> None:
+    """If a program gets no answer, or is killed before it comes, others use the drive as before."""
+    motor, other = _both(bench)
+    way = 0.1 * long_move(bench)
+    move(bench, other, way)
+    usual = _count_start(bench, other, -way)
+    if Ability.LOSE in bench.abilities:
+        motor.position()
+        with bench.lose_answers_of(motor, limit=_LOST):
+            failure_of(motor.position)
+        before = position_of(bench, other)
+        move(bench, other, way)
+        expect_moved(bench, other, before, way, "another program has got no answer")
+    step = max(1, usual // (2 * _DEATHS))  # commands come in the second half, behind readings
+    for messages in range(max(1, usual // 2), max(2, usual), step):
+        motor, other = _both(bench)
+        move(bench, other, way)
+        motor.position()
+        prepare(other, -way)
+        before = position_of(bench, other)
+        with bench.killed_after(motor, messages):
+            bench.runtime.spawn("reader", partial(_read, motor))
+            other.start()
+        finish(bench, other)
+        what = f"a program was killed after {messages} of its messages beside a start"
+        expect_moved(bench, other, before, -way, what)
+
+
+def _read(motor: Motor) -> None:
+    """Read the motor's position until its program is killed."""
+    while True:
+        motor.position()
+        motor.runtime.wait_until(lambda: False, 0.001)

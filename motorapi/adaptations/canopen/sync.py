@@ -73,14 +73,16 @@ class ArmedMarks:
         """Mark a set-point as waiting for SYNC, until the mark is released."""
         if self._where is None:
             return None
-        return self._lock(waiting).acquire(runtime, "a set-point that waits for SYNC", 0.0, owner)
+        lock = self._lock(runtime, waiting)
+        return lock.acquire(runtime, "a set-point that waits for SYNC", 0.0, owner)
 
-    def _lock(self, waiting: WaitingSetPoint) -> ProcessLock:
+    def _lock(self, runtime: Runtime, waiting: WaitingSetPoint) -> ProcessLock:
         lock = self._locks.get(waiting)
         if lock is None:
             node_id, can_id, halt = waiting
             name = f"{self._prefix}{node_id}-{can_id:03X}-{halt.hex()}"
-            lock = ProcessLock(name, f"set-points waiting for SYNC in {self._name} node {node_id}")
+            label = f"set-points waiting for SYNC in {self._name} node {node_id}"
+            lock = ProcessLock(name, label, runtime=runtime)
             self._locks[waiting] = lock
         return lock
 
@@ -91,7 +93,7 @@ class ArmedMarks:
     def release(self, runtime: Runtime, left: Sequence[WaitingSetPoint]) -> None:
         """Remove the marks that dead processes have left for these set-points."""
         for one in left:
-            self._lock(one).acquire(runtime, "clearing the mark", 0.0, self).release()
+            self._lock(runtime, one).acquire(runtime, "clearing the mark", 0.0, self).release()
 
     def left(self, own: int | None) -> list[WaitingSetPoint]:
         """Return the set-points that dead processes have left waiting, also in our node `own`."""
@@ -215,12 +217,13 @@ class ProducerSeat:
 class SharedBus:
     """The state that all links of this process share for one physical bus."""
 
-    def __init__(self, name: str, where: str | None) -> None:
+    def __init__(self, name: str, where: str | None, runtime: Runtime) -> None:
         lock: ProcessLock | None = None
         seat_lock: ProcessLock | None = None
         if where is not None:
-            lock = ProcessLock(f"{where}-sync", f"SYNC of {name}")
-            seat_lock = ProcessLock(f"{where}-sync-producer", f"the SYNC producer of {name}")
+            lock = ProcessLock(f"{where}-sync", f"SYNC of {name}", runtime=runtime)
+            label = f"the SYNC producer of {name}"
+            seat_lock = ProcessLock(f"{where}-sync-producer", label, runtime=runtime)
         self.turns: Final = FifoQueue(f"SYNC of {name}", lock)
         self.seat: Final = ProducerSeat(seat_lock)
         self.marks: Final = ArmedMarks(where, name)
@@ -230,7 +233,9 @@ class SharedBus:
 def shared_bus(link: CanLink) -> SharedBus:
     """Return the shared state of the link's bus, independent of the path by which it was opened."""
     where = bus_name(link.bus) if can_share_time(link.runtime) else None
-    return context_of(link.bus).medium.part(SharedBus, lambda: SharedBus(link.name, where))
+    return context_of(link.bus).medium.part(
+        SharedBus, lambda: SharedBus(link.name, where, link.runtime)
+    )
 
 
 def median_ns(times_ns: tuple[int, ...]) -> int:

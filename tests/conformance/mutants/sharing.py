@@ -4,7 +4,8 @@ from contextlib import contextmanager
 
 from motorhil.motorapi import MotionInterrupted, Motor, MotorBusyError, execution
 from motorhil.motorapi.adaptations.canopen.object_access import ObjectAccess
-from motorhil.motorapi.adaptations.canopen.sync import SharedBus
+from motorhil.motorapi.adaptations.canopen.sdo import ChannelClient
+from motorhil.motorapi.adaptations.canopen.sync import BusSync, SharedBus
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
 from motorhil.motorapi.adaptations.cia402.node_sharing import SharedNode
 from motorhil.motorapi.adaptations.host_servo.hardware import AmplifierHwMotor
@@ -12,6 +13,7 @@ from motorhil.motorapi.adaptations.ideal.motor import IdealMotor
 from motorhil.motorapi.adaptations.mit.hardware import MitHwMotor
 from motorhil.motorapi.api import can_drive
 from motorhil.motorapi.api.can_hardware import StreamedCanHardware
+from motorhil.motorapi.api.line_exchanges import ExchangeLine
 from motorhil.motorapi.api.polled_motor import PolledMotor
 from motorhil.motorapi.api.streamed_motor import StreamedMotor
 from motorhil.motorapi.group import CommonMotion
@@ -525,6 +527,36 @@ def a_member_that_was_taken_over_is_no_failure():
         return failed
 
     with replaced(CommonMotion, "failed", wrong), replaced(CommonMotion, "_fail", wrong):
+        yield
+
+
+@mutant("cia402", "SYNC-23")
+def set_points_of_the_dead_are_left():
+    """Set-points that a program has armed before its death wait for the SYNC of another one."""
+    with replaced(BusSync, "_clear", lambda _: lambda sync, own: None):
+        yield
+
+
+@mutant("cia402", "PROC-16")
+def downloads_are_not_fenced():
+    """Settings are written although another program has taken the motor over."""
+    with replaced(ChannelClient, "_commands", lambda _: lambda client, service: False):
+        yield
+
+
+@mutant("leadshine", "PROC-17")
+def a_line_is_free_at_once_after_a_death():
+    """A request is sent on a line where the answer to a program that has died is to come."""
+
+    def wrong(take):
+        def taken(line):
+            is_ours = take(line)
+            line._left_ns = 0
+            return is_ours
+
+        return taken
+
+    with replaced(ExchangeLine, "_take_lock", wrong):
         yield
 
 

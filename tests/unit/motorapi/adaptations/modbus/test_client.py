@@ -11,6 +11,8 @@ from pymodbus.pdu.register_message import (
 
 from motorhil.motorapi.adaptations.modbus.client import ModbusLine, ModbusProtocolViolation
 from motorhil.motorapi.errors import DeadlineExceeded, LinkError
+from motorhil.motorapi.locking.directory import LockDirectory
+from motorhil.motorapi.locking.process_lock import ProcessLock
 from tests.support.modbus.bench import with_crc
 from tests.support.modbus.rigs import MS, opened
 
@@ -230,6 +232,22 @@ def test_posted_request_does_not_wait_for_a_late_answer(runtime):
     modbus.post(WRITE, 1, TIMEOUT_S)
     runtime.run_for(0.01)
     assert line.sent[-1][0] - began_ns < MS
+
+
+@pytest.mark.parametrize(("framing", "waits"), [("rtu", True), ("tcp", False)])
+def test_answer_to_a_program_that_died_is_waited_for(runtime, tmp_path, framing, waits):
+    dead, lock = (ProcessLock("line", "the line", LockDirectory(tmp_path)) for _ in range(2))
+    dead.acquire(runtime, "an exchange on the line")
+    dead.abandon()
+    answers = {"rtu": rtu(7), "tcp": tcp(1, b"\3\2\0\7")}
+    line = Line(runtime, framing, lambda line, _: line.hear_after(MS / 1e9, answers[framing]))
+    client = ModbusLine(line, runtime, lock)
+    line.hear_after(0.1, rtu(5))
+    begun_ns = runtime.now_ns()
+    assert read(client) == [7]
+    waited_ns = line.sent[0][0] - begun_ns
+    assert waited_ns == (ModbusLine.QUARANTINE_NS if waits else line.silence_ns)
+    client.close()
 
 
 @pytest.mark.parametrize("late_s", [0.21, 0.25], ids=["before", "after"])
