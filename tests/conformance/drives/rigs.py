@@ -89,8 +89,28 @@ DataType=0x0009
 AccessType=rw
 DefaultValue=left
 PDOMapping=0
+
+[2001]
+ParameterName=Axis has a brake
+ObjectType=0x7
+DataType=0x0001
+AccessType=ro
+DefaultValue=1
+PDOMapping=1
+
+[2002]
+ParameterName=Ratio of the gear
+ObjectType=0x7
+DataType=0x0008
+AccessType=ro
+DefaultValue=1.5
+PDOMapping=1
 """
-_BITS: Final = (("Dummy0001=0", "Dummy0001=1"), ("Granularity=8", "Granularity=1"))
+_BITS: Final = (
+    ("Dummy0001=0", "Dummy0001=1"),
+    ("Granularity=8", "Granularity=1"),
+    ("DefaultValue=0x60610008", "DefaultValue=0x60610010"),  # 6061h in two bytes of TPDO 2
+)
 _RPM: Final = _variable("608C", "Velocity dimension index", 5, 0xA4)
 _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
@@ -103,7 +123,7 @@ _RADIANS: Final = (
 _ELASTIC: Final = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
-_LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6502")
+_LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6071", "6502")
 
 DRIVES: dict[str, str] = {
     "own": "",
@@ -232,8 +252,8 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
-    "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
-    "unusual file": ("PDO-10", "PDO-09", "OD-09"),
+    "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01", "OD-05"),
+    "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{
