@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from motorhil.emulators.cia402.settings import CATALOGUE, OWN_EDS
+from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.target import Job
 
@@ -40,7 +40,11 @@ DEVIATIONS: Final = {
     "misplaced_error_register": "ERR-01",
 }
 """Quirks that break a promise of the standards; all others are legal behaviour."""
-LEGAL: Final = [quirk.name for quirk in CATALOGUE if quirk.name not in DEVIATIONS]
+LEGAL: Final = [
+    *("slow_sdo", "deaf_after_boot_up", "late_boot_up", "heartbeat_jitter", "size_not_indicated"),
+    *("stale_sdo_bytes", "statusword_bits", "target_reached_in_fault", "emcy_vendor_bytes"),
+    *("emcy_after_boot_up", "emcy_on_overrun"),
+]
 
 
 def _variable(index: str, name: str, data_type: int, default: int) -> str:
@@ -219,7 +223,7 @@ DRIVES: dict[str, str] = {
     ),
     "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_BITS)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
-    "legal quirks": f"quirks = {LEGAL}",
+    "legal quirks": f"quirks = {LEGAL}\n[conformance]\nfault_code = 0x4310",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
 }
 

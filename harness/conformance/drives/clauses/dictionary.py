@@ -254,6 +254,25 @@ def dictionary_is_that_of_its_file(bench: DriveBench) -> None:
             _expect_limits(drive, one)
 
 
+@drive_clause("OD-10", Level.L0, source="The rig: objects; CiA 306, DefaultValue")
+def objects_of_the_rig(bench: DriveBench) -> None:
+    """Each object has at power-on the value that the rig states, if the drive shows it."""
+    stated = bench.stated.get("objects", {})
+    if bench.is_real or not stated:
+        raise NotApplicable("the rig states no objects of an emulated drive")
+    drive = bench.drive
+    for key, wanted in stated.items():
+        place, _, subindex = key.partition(":")
+        base = 16 if subindex[-1:] in ("h", "H") else 10
+        entry = Entry(int(place[:4], 16), int(subindex.rstrip("hH") or "0", base), "I", "object")
+        if not isinstance(wanted, int) or drive.size_of(entry) is None:
+            continue
+        data = drive.upload(entry.index, entry.subindex)
+        seen = int.from_bytes(data, "little")
+        is_right = not (seen ^ wanted) & (1 << 8 * len(data)) - 1
+        drive.expect(is_right, f'"{key}" of the rig', f"{wanted}", f"{data.hex(' ')}")
+
+
 def _expect_text_again(drive: Drive, stated: StatedObject) -> None:
     """Expect a text that can be written to be taken, and to be kept."""
     place = stated.index, stated.subindex
