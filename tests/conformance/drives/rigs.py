@@ -127,7 +127,19 @@ _RADIANS: Final = (
 _ELASTIC: Final = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
-_LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6071", "6502")
+_LEAN: Final = (
+    "6084",
+    "6085",
+    "6082",
+    "60C5",
+    "60C6",
+    "60F2",
+    "60F8",
+    "605B",
+    "605D",
+    "6071",
+    "6502",
+)
 
 DRIVES: dict[str, str] = {
     "own": "",
@@ -233,7 +245,17 @@ _OF_UNITS: Final = ("VAL-01", "PV-02", "PV-03", "PP-01", "OD-01", "FAC-01", "HOM
 _OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
 CLAUSES: dict[str, tuple[str, ...]] = {
     "switches": (*_OF_SWITCHES, "TP-01", "TP-02", "TP-04", "DIN-01", "LSW-01", "LSW-02", "LIM-01"),
-    "units": (*_OF_UNITS, "PV-05", "LIM-01", "RNG-01", "CSV-02", "PP-09", "HOME-07", "PV-08"),
+    "units": (
+        *_OF_UNITS,
+        "PV-05",
+        "LIM-01",
+        "RNG-01",
+        "CSV-02",
+        "PP-09",
+        "HOME-07",
+        "PV-08",
+        "OD-10",
+    ),
     "backlash": ("PLANT-11", "TP-04", "HOME-06", "PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
     "play": ("PP-01", "HOME-06"),
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
@@ -256,7 +278,18 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
-    "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01", "OD-05"),
+    "lean": (
+        "OD-08",
+        "PP-01",
+        "PP-05",
+        "PV-01",
+        "PV-06",
+        "STOP-01",
+        "STOP-06",
+        "OD-01",
+        "ERR-01",
+        "OD-05",
+    ),
     "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),

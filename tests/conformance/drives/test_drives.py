@@ -51,6 +51,7 @@ NEEDS_STATEMENTS = {
     "HOME-05",
     "TP-04",
     "CYC-01",
+    "OD-10",
     "VAL-02",
     "VAL-04",
     "PLANT-11",
