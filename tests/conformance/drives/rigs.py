@@ -137,8 +137,6 @@ _LEAN: Final = (
     "60F8",
     "605B",
     "605D",
-    "6071",
-    "6502",
 )
 
 DRIVES: dict[str, str] = {
@@ -233,6 +231,7 @@ DRIVES: dict[str, str] = {
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
         "switches = { index_pulse = false }"
     ),
+    "modes untold": f'eds = "{_eds("modes untold", without=("6071", "6502"))}"',
     "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_BITS)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}\n[conformance]\nfault_code = 0x4310",
@@ -279,17 +278,10 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
     "lean": (
-        "OD-08",
-        "PP-01",
-        "PP-05",
-        "PV-01",
-        "PV-06",
-        "STOP-01",
-        "STOP-06",
-        "OD-01",
-        "ERR-01",
-        "OD-05",
+        *("OD-01", "OD-08", "OD-10", "PP-01", "PP-05", "PP-06", "PV-01", "PV-07", "TQ-03"),
+        *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05"),
     ),
+    "modes untold": ("OD-05",),
     "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),

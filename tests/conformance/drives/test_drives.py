@@ -76,6 +76,11 @@ def test_stated_switches_make_their_clauses_apply(drive, names):
     assert [verdict(found, name).result for name in names] == [Result.PASSED] * len(names)
 
 
+@pytest.mark.parametrize("name", ["HOME-06", "TP-02"])
+def test_drive_without_index_pulse_is_not_accused(name):
+    assert verdict(target(DRIVES["lean"]), name).result is Result.NOT_APPLICABLE
+
+
 @pytest.mark.parametrize("name", ["PV-01", "PP-01", "TQ-01", "PLANT-04"])
 def test_drive_between_end_stops_is_not_accused(name):
     seen = verdict(target(DRIVES["end stops"]), name)
