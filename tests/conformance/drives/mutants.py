@@ -1403,6 +1403,21 @@ def dummies_take_no_space(patch):
     _wrap(patch, pdo_mapping, "PdoMapping", make)
 
 
+@mutant("FOL-02")
+def set_points_put_off_the_following_error(patch):
+    """Each command begins the time 6066h anew."""
+
+    def make(good):
+        def begin(self, *args):
+            good(self, *args)
+            state = self._time.state
+            self._time.order(self._orders, (*state[:16], 0, *state[17:]))
+
+        return begin
+
+    _wrap(patch, Axis, "_begin", make)
+
+
 @mutant("PDO-12")
 def objects_of_a_pdo_are_reversed(patch):
     """The last entry of a mapping is the first one in the frame."""
