@@ -19,6 +19,7 @@ _OPERATIONAL: Final = 5
 _NO_OBJECT: Final = 0x0602_0000
 _SIGNATURES: Final = {0x1010: 0x6576_6173, 0x1011: 0x6461_6F6C}  # "save", "load"
 _MANDATORY: Final = (0x1000, 0x1001)  # 1018h was optional before version 4
+_MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _BOOT_NS: Final = 10_000 * MS
 """A reset node boots within this time; CiA 301 names none."""
 _LISTED_NS: Final = 2 * MS
@@ -114,6 +115,8 @@ class Refusals(Oracle):
         elif data[0] == 0x80 and self.examine(time_ns, bus):
             code = int.from_bytes(data[4:8], "little")
             is_known = index in _MANDATORY or (bus, node, index) in self._shown
+            if any(index in mappings for mappings in _MAPPINGS):
+                is_known = False  # the code is of the object to be mapped
             if code == _NO_OBJECT and is_known:
                 why = "it is mandatory" if index in _MANDATORY else "it was shown before"
                 text = f"{index:04X}h:{data[3]} refused as an unknown object; {why}"

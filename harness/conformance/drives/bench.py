@@ -6,15 +6,16 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, final
 
+from motorhil.emulators.can.fault_rules import FaultKind, FaultRule, FrameError
 from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.emulators.settings.tables import plant_of
-from motorhil.harness.conformance.bench import Ability
+from motorhil.harness.conformance.bench import Ability, Lost
 from motorhil.harness.conformance.benches.rig_bench import TimeIsUp
 from motorhil.harness.conformance.clause import NotApplicable
 from motorhil.harness.conformance.drives.client import Client
 from motorhil.harness.conformance.drives.device_file import DeviceFile, read_file
 from motorhil.harness.conformance.drives.drive import Drive
-from motorhil.harness.rig.config.conformance import Facts
+from motorhil.harness.rig.config.conformance import NOTHING_DECLARED, Facts
 from motorhil.harness.rig.config.rig_file import ControllerDescription, RigDescription
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.rig.rig import Rig
@@ -68,7 +69,18 @@ class DriveBench(Protocol):
         """
 
     def fail(self) -> int | None:
-        """Cause a short fault in the drive; return its error code, or None if it cannot."""
+        """Cause a short fault in the drive; return its error code, or None if it cannot.
+
+        Raises:
+            Violated: the drive refuses the fault that the rig states.
+        """
+
+    def strike(self, times: int) -> Lost:
+        """Destroy so many attempts of the drive to send a frame; return how many were, so far.
+
+        Raises:
+            NotApplicable: the drive is real.
+        """
 
 
 class _Bench:
@@ -120,6 +132,10 @@ class _Bench:
         """Raise NotApplicable: a real drive has the end stops that it has."""
         raise NotApplicable("the bench cannot add end stops")
 
+    def strike(self, times: int) -> Lost:
+        """Raise NotApplicable: frames of a real drive are out of reach."""
+        raise NotApplicable("the bench cannot destroy frames of the drive")
+
     def _meet(self, cleanup: ExitStack, client: Client, controller: ControllerDescription) -> Drive:
         cleanup.callback(client.close)
         units = controller.settings.get("units", {})
@@ -157,6 +173,7 @@ class EmulatedBench(_Bench):
         self._name = controller
         self._stated_rig = description
         self._record = record
+        self._strikes = 0
         self._open(_without_end_stops(description, controller))
 
     def _open(self, description: RigDescription) -> None:
@@ -215,12 +232,29 @@ class EmulatedBench(_Bench):
         controller = self._rig.controllers[self._name]
         try:
             controller.stimulate(facts.fault_stimulus, value)
-        except ValueError:
-            return None
+        except ValueError as error:
+            if _fault_of(facts) == _fault_of(NOTHING_DECLARED):
+                return None
+            what = f"{facts.fault_stimulus} = {value}, which the rig states"
+            raise self.drive.violated(what, "a fault", f"{error}", "") from None
         if facts.fault_over_value is not None:
             self.drive.quiet()
             controller.stimulate(facts.fault_stimulus, facts.fault_over_value)
         return facts.fault_code
+
+    def strike(self, times: int) -> Lost:
+        """Destroy so many attempts of the drive to send a frame; return how many were, so far."""
+        self._strikes += 1
+        rule = FaultRule(
+            f"strike {self._strikes}",
+            FaultKind.ERROR,
+            sender=self._name,
+            error=FrameError.BIT,
+            limit=times,
+        )
+        faults = self._rig.faults
+        faults.inject(self._stated_rig.controllers[self._name].bus, rule)
+        return lambda: faults.fired().get(rule.name, 0)
 
 
 @final
@@ -277,6 +311,10 @@ class RealBench(_Bench):
     def fail(self) -> int | None:
         """Return None: a real drive has no stimuli."""
         return None
+
+
+def _fault_of(facts: Facts) -> tuple[str, int, float | None]:
+    return facts.fault_stimulus, facts.fault_code, facts.fault_value
 
 
 def _without_end_stops(description: RigDescription, name: str) -> RigDescription:

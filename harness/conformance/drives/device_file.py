@@ -14,6 +14,8 @@ _LAST_TYPE: Final = 0x0FFF  # indices of data types
 _WHOLE: Final = (*datatypes.SIGNED_TYPES, *datatypes.UNSIGNED_TYPES)
 _TEXTS: Final = (datatypes.VISIBLE_STRING, datatypes.OCTET_STRING)
 
+_SENT: Final = ("ro", "rw", "rwr", "const")  # access types of what a TPDO may map
+
 
 @final
 @frozen
@@ -27,6 +29,7 @@ class StatedObject:
         size: the number of its bytes; 0: it is not a whole number.
         is_signed: it is a whole number with a sign.
         is_text: it is a text.
+        sent_bits: the number of bits in a TPDO; 0: the EDS does not let a TPDO map it.
         low, high: LowLimit and HighLimit; None: not stated.
     """
 
@@ -37,6 +40,7 @@ class StatedObject:
     size: int
     is_signed: bool
     is_text: bool
+    sent_bits: int
     low: int | None
     high: int | None
 
@@ -72,6 +76,14 @@ def read_file(path: Path, node_id: int) -> DeviceFile:
     return DeviceFile(tuple(_objects(read)), granularity, types)
 
 
+def _sent_bits(one: ODVariable) -> int:
+    if not one.pdo_mappable or one.access_type not in _SENT:
+        return 0
+    if one.data_type == datatypes.BOOLEAN:
+        return 1
+    return len(one) if one.data_type in (*_WHOLE, *datatypes.FLOAT_TYPES) else 0
+
+
 def _objects(read: canopen.ObjectDictionary) -> Iterator[StatedObject]:
     for entry in read.values():
         for one in (entry,) if isinstance(entry, ODVariable) else entry.values():
@@ -82,6 +94,7 @@ def _objects(read: canopen.ObjectDictionary) -> Iterator[StatedObject]:
                     size=-(-len(one) // 8) if is_whole else 0,
                     is_signed=kind in datatypes.SIGNED_TYPES,
                     is_text=kind in _TEXTS,
+                    sent_bits=_sent_bits(one),
                     low=one.min,
                     high=one.max,
                 )

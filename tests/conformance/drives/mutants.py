@@ -24,7 +24,7 @@ from motorhil.emulators.canopen.files import parameter_storage
 from motorhil.emulators.canopen.node import CanopenNode
 from motorhil.emulators.canopen.pdo import Rpdo
 from motorhil.emulators.canopen.pdo_parameters import PdoParameters
-from motorhil.emulators.cia402 import limit_switches, power_drive, state_machine, touch_probe
+from motorhil.emulators.cia402 import drive, limit_switches, power_drive, state_machine, touch_probe
 from motorhil.emulators.cia402.drive import Readings
 from motorhil.emulators.cia402.faults import Standing
 from motorhil.emulators.cia402.modes import cyclic, homing
@@ -47,9 +47,11 @@ from motorhil.emulators.firmware import (
     nonlinear_tables,
     profile,
     servo,
+    servo_tables,
 )
 from motorhil.emulators.firmware.axis import Axis
 from motorhil.emulators.firmware.digital_inputs import TOUCH_PROBE_2, DigitalInputs
+from motorhil.emulators.plant.dc_motor import sample
 from tests.conformance.drives.rigs import DRIVES
 
 _S, _C = PdsState, Command
@@ -1401,6 +1403,27 @@ def dummies_take_no_space(patch):
     _wrap(patch, pdo_mapping, "PdoMapping", make)
 
 
+@mutant("FOL-02")
+def set_points_put_off_the_following_error(patch):
+    """Each command begins the time 6066h anew."""
+
+    def make(good):
+        def begin(self, *args):
+            good(self, *args)
+            state = self._time.state
+            self._time.order(self._orders, (*state[:16], 0, *state[17:]))
+
+        return begin
+
+    _wrap(patch, Axis, "_begin", make)
+
+
+@mutant("PDO-12")
+def objects_of_a_pdo_are_reversed(patch):
+    """The last entry of a mapping is the first one in the frame."""
+    _wrap(patch, pdo_mapping, "PdoMapping", lambda good: lambda entries: good(entries[::-1]))
+
+
 @mutant("PDO-11")
 def missing_rpdo_is_not_told(patch):
     """An RPDO that does not come in time sends no EMCY."""
@@ -1623,6 +1646,23 @@ def load_has_twice_the_play(patch):
         return init
 
     _wrap(patch, nonlinear_tables.StepNumbers, "__init__", make)
+
+
+@mutant("PLANT-12")
+def motor_without_current_runs_too_long(patch):
+    """A servo tick without current has the effect of half a tick."""
+    patch.setattr(axis, "tables_of", servo_tables.tables_of.__wrapped__)
+
+    def sampled(plant, step_s):
+        return sample(plant, min(step_s, 0.0005))
+
+    patch.setattr(servo_tables, "_sampled", sampled)
+
+
+@mutant("OD-10", 'objects = { "6081h" = 40000 }')
+def objects_of_the_rig_are_ignored(patch):
+    """The drive powers on with its own values."""
+    _always(patch, drive, "_set_objects", None)
 
 
 @mutant("OD-09")

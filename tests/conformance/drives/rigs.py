@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from motorhil.emulators.cia402.settings import CATALOGUE, OWN_EDS
+from motorhil.emulators.cia402.settings import OWN_EDS
 from motorhil.harness.conformance.drives.target import DriveTarget
 from motorhil.harness.conformance.target import Job
 
@@ -40,7 +40,11 @@ DEVIATIONS: Final = {
     "misplaced_error_register": "ERR-01",
 }
 """Quirks that break a promise of the standards; all others are legal behaviour."""
-LEGAL: Final = [quirk.name for quirk in CATALOGUE if quirk.name not in DEVIATIONS]
+LEGAL: Final = [
+    *("slow_sdo", "deaf_after_boot_up", "late_boot_up", "heartbeat_jitter", "size_not_indicated"),
+    *("stale_sdo_bytes", "statusword_bits", "target_reached_in_fault", "emcy_vendor_bytes"),
+    *("emcy_after_boot_up", "emcy_on_overrun"),
+]
 
 
 def _variable(index: str, name: str, data_type: int, default: int) -> str:
@@ -89,8 +93,28 @@ DataType=0x0009
 AccessType=rw
 DefaultValue=left
 PDOMapping=0
+
+[2001]
+ParameterName=Axis has a brake
+ObjectType=0x7
+DataType=0x0001
+AccessType=ro
+DefaultValue=1
+PDOMapping=1
+
+[2002]
+ParameterName=Ratio of the gear
+ObjectType=0x7
+DataType=0x0008
+AccessType=ro
+DefaultValue=1.5
+PDOMapping=1
 """
-_BITS: Final = (("Dummy0001=0", "Dummy0001=1"), ("Granularity=8", "Granularity=1"))
+_BITS: Final = (
+    ("Dummy0001=0", "Dummy0001=1"),
+    ("Granularity=8", "Granularity=1"),
+    ("DefaultValue=0x60610008", "DefaultValue=0x60610010"),  # 6061h in two bytes of TPDO 2
+)
 _RPM: Final = _variable("608C", "Velocity dimension index", 5, 0xA4)
 _DEGREES: Final = (
     _variable("60A8", "SI unit position", 7, 0xFF41_0000),  # 0.1 degree
@@ -103,7 +127,17 @@ _RADIANS: Final = (
 _ELASTIC: Final = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
-_LEAN: Final = ("6084", "6085", "6082", "60C5", "60C6", "60F2", "60F8", "605B", "605D", "6502")
+_LEAN: Final = (
+    "6084",
+    "6085",
+    "6082",
+    "60C5",
+    "60C6",
+    "60F2",
+    "60F8",
+    "605B",
+    "605D",
+)
 
 DRIVES: dict[str, str] = {
     "own": "",
@@ -197,9 +231,10 @@ DRIVES: dict[str, str] = {
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
         "switches = { index_pulse = false }"
     ),
+    "modes untold": f'eds = "{_eds("modes untold", without=("6071", "6502"))}"',
     "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_BITS)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
-    "legal quirks": f"quirks = {LEGAL}",
+    "legal quirks": f"quirks = {LEGAL}\n[conformance]\nfault_code = 0x4310",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
 }
 
@@ -209,7 +244,17 @@ _OF_UNITS: Final = ("VAL-01", "PV-02", "PV-03", "PP-01", "OD-01", "FAC-01", "HOM
 _OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
 CLAUSES: dict[str, tuple[str, ...]] = {
     "switches": (*_OF_SWITCHES, "TP-01", "TP-02", "TP-04", "DIN-01", "LSW-01", "LSW-02", "LIM-01"),
-    "units": (*_OF_UNITS, "PV-05", "LIM-01", "RNG-01", "CSV-02", "PP-09", "HOME-07", "PV-08"),
+    "units": (
+        *_OF_UNITS,
+        "PV-05",
+        "LIM-01",
+        "RNG-01",
+        "CSV-02",
+        "PP-09",
+        "HOME-07",
+        "PV-08",
+        "OD-10",
+    ),
     "backlash": ("PLANT-11", "TP-04", "HOME-06", "PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
     "play": ("PP-01", "HOME-06"),
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
@@ -232,8 +277,12 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "rpm": _OF_UNITS,
     "degrees": _OF_UNITS,
     "radians": _OF_UNITS,
-    "lean": ("OD-08", "PP-01", "PP-05", "PV-01", "PV-06", "STOP-01", "STOP-06", "OD-01", "ERR-01"),
-    "unusual file": ("PDO-10", "PDO-09", "OD-09"),
+    "lean": (
+        *("OD-01", "OD-08", "OD-10", "PP-01", "PP-05", "PP-06", "PV-01", "PV-07", "TQ-03"),
+        *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05"),
+    ),
+    "modes untold": ("OD-05",),
+    "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{

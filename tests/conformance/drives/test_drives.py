@@ -51,6 +51,7 @@ NEEDS_STATEMENTS = {
     "HOME-05",
     "TP-04",
     "CYC-01",
+    "OD-10",
     "VAL-02",
     "VAL-04",
     "PLANT-11",
@@ -73,6 +74,11 @@ def test_built_in_drive_keeps_every_clause():
 def test_stated_switches_make_their_clauses_apply(drive, names):
     found = target(DRIVES[drive])
     assert [verdict(found, name).result for name in names] == [Result.PASSED] * len(names)
+
+
+@pytest.mark.parametrize("name", ["HOME-06", "TP-02"])
+def test_drive_without_index_pulse_is_not_accused(name):
+    assert verdict(target(DRIVES["lean"]), name).result is Result.NOT_APPLICABLE
 
 
 @pytest.mark.parametrize("name", ["PV-01", "PP-01", "TQ-01", "PLANT-04"])

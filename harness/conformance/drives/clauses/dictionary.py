@@ -27,6 +27,12 @@ _READ_ONLY: Final = (0x0601_0002, 0x0601_0000)
 _LENGTHS: Final = (0x0607_0010, 0x0607_0012, 0x0607_0013)
 _VALUES: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0609_0036, 0x0800_0000, 0x0800_0020)
 
+_TARGETS: Final = {
+    **dict.fromkeys((Mode.PP, Mode.CSP), od.TARGET_POSITION),
+    **dict.fromkeys((Mode.PV, Mode.CSV), od.TARGET_VELOCITY),
+    **dict.fromkeys((Mode.TQ, Mode.CST), od.TARGET_TORQUE),
+}
+
 
 def _codes(codes: tuple[int, ...]) -> str:
     return " or ".join(f"{code:08X}h" for code in codes)
@@ -101,14 +107,18 @@ def wrong_lengths(bench: DriveBench) -> None:
 
 @drive_clause("OD-05", Level.L0, source="CiA 402-2, modes of operation 6060h, 6061h, 6502h")
 def modes_agree(bench: DriveBench) -> None:
-    """Each mode in 6502h can be selected, and 6061h shows it; no other standard mode can."""
+    """Each mode in 6502h has its target, can be selected, and is in 6061h; no other one can."""
     drive = bench.drive
-    drive.require(od.SUPPORTED_MODES, od.MODE, od.MODE_DISPLAY)
+    drive.require(od.MODE, od.MODE_DISPLAY)
+    if drive.find(od.SUPPORTED_MODES) is None:
+        _expect_some_mode(drive)
+        return
     claimed = [mode for mode in Mode if drive.has_mode(mode)]
     if not claimed:
         raise NotApplicable("6502h claims no mode")
     for mode in claimed:
         drive.select(mode)
+        _expect_target(drive, mode)
     last = claimed[-1]
     for mode in Mode:
         if mode in claimed:
@@ -123,6 +133,26 @@ def modes_agree(bench: DriveBench) -> None:
             f"{code:08X}h; 6061h = {shown}",
             "6502h lacks a mode, or modes are not checked",
         )
+
+
+def _expect_some_mode(drive: Drive) -> None:
+    """Expect some standard modes to be taken: these are shown, and have their targets."""
+    taken = []
+    for mode in Mode:
+        code = drive.refusal(od.MODE.index, 0, bytes((mode,)))
+        drive.quiet()
+        if not code:
+            taken.append(mode)
+            drive.near(od.MODE_DISPLAY, mode, 0, f"6060h = {mode.value} ({mode}), which is taken")
+            _expect_target(drive, mode)
+    drive.expect(bool(taken), "6060h without 6502h", "one standard mode or more", "all refused")
+
+
+def _expect_target(drive: Drive, mode: Mode) -> None:
+    target = _TARGETS.get(mode)
+    if target is not None:
+        there = drive.find(target) is not None
+        drive.expect(there, f"mode {mode}", f"its target {target}", "absent")
 
 
 @drive_clause("OD-07", Level.L0, source="CiA 402-2, modes of operation 6060h, 6061h; halt, bit 8")
@@ -224,6 +254,25 @@ def dictionary_is_that_of_its_file(bench: DriveBench) -> None:
             _expect_limits(drive, one)
 
 
+@drive_clause("OD-10", Level.L0, source="The rig: objects; CiA 306, DefaultValue")
+def objects_of_the_rig(bench: DriveBench) -> None:
+    """Each object has at power-on the value that the rig states, if the drive shows it."""
+    stated = bench.stated.get("objects", {})
+    if bench.is_real or not stated:
+        raise NotApplicable("the rig states no objects of an emulated drive")
+    drive = bench.drive
+    for key, wanted in stated.items():
+        place, _, subindex = key.partition(":")
+        base = 16 if subindex[-1:] in ("h", "H") else 10
+        entry = Entry(int(place[:4], 16), int(subindex.rstrip("hH") or "0", base), "I", "object")
+        if not isinstance(wanted, int) or drive.size_of(entry) is None:
+            continue
+        data = drive.upload(entry.index, entry.subindex)
+        seen = int.from_bytes(data, "little")
+        is_right = not (seen ^ wanted) & (1 << 8 * len(data)) - 1
+        drive.expect(is_right, f'"{key}" of the rig', f"{wanted}", f"{data.hex(' ')}")
+
+
 def _expect_text_again(drive: Drive, stated: StatedObject) -> None:
     """Expect a text that can be written to be taken, and to be kept."""
     place = stated.index, stated.subindex
@@ -235,6 +284,20 @@ def _expect_text_again(drive: Drive, stated: StatedObject) -> None:
         drive.expect(not code, what, "accepted: it was there before", f"{code:08X}h")
         seen = drive.upload(*place)
         drive.expect(seen == wanted, what, f"{wanted!r}", f"{seen!r}")
+        if wanted == b"another":
+            _expect_whole_frame(drive, stated)
+
+
+def _expect_whole_frame(drive: Drive, stated: StatedObject) -> None:
+    """Expect all four bytes of an expedited download without a size (e = 1, s = 0) to be taken."""
+    place = struct.pack("<HB", stated.index, stated.subindex)
+    node, text = drive.node_id, b"four"
+    answers = drive.client.ask(0x600 + node, b"\x22" + place + text, 0x580 + node)
+    if answers and answers[0].data[:4] == b"\x60" + place:
+        seen = drive.upload(stated.index, stated.subindex)
+        what = f"expedited download of {text!r} to {stated.index:04X}h:{stated.subindex:02X}"
+        expected = f"{text!r}: without a size, all bytes count"
+        drive.expect(seen.startswith(text), what, expected, f"{seen!r}")
 
 
 def _expect_limits(drive: Drive, stated: StatedObject) -> None:

@@ -21,6 +21,7 @@ _CAUSES: Final = (
     ("device_temperature_c", 95.0, 25.0, 0x4210, 0x08),
     ("encoder", 0, 1, 0x7305, 0x00),
 )
+_TO_BUS_OFF: Final = 32  # failed transmissions in a row: ISO 11898-1, fault confinement
 
 
 @drive_clause("ERR-01", Level.L5, source="CiA 301, 7.2.7, EMCY; 7.5.2.2, 1001h; CiA 402-2, 603Fh")
@@ -257,6 +258,13 @@ def bus_errors(bench: DriveBench) -> None:
         bench.stimulate("bus_off", 0)
         drive.await_emergency(0x8140, begin_ns, "recovered from bus-off")
         drive.await_state(reaction, f"bus-off, 6007h = {option}", "reaction of 6007h")
+    drive.set(od.ABORT_CONNECTION, 1)
+    begin_ns, destroyed = drive.now_ns, bench.strike(_TO_BUS_OFF)
+    drive.client.send_message(0x600 + drive.node_id, b"\x40\0\x10\0".ljust(8, b"\0"))
+    drive.quiet()
+    what = f"{destroyed()} destroyed frames of the drive"
+    drive.await_emergency(0x8140, begin_ns, what)
+    drive.await_state(State.FAULT, what, "bus-off, 6007h = 1")
 
 
 @drive_clause("ERR-09", Level.L5, source="CiA 301, 7.5.2.4; CiA 402-2, 605Eh, transition 14")

@@ -207,13 +207,23 @@ def _begin(bench: DriveBench, *keys: str) -> float:
     return scale(bench, drive.pace())
 
 
+def _has_index(bench: DriveBench) -> bool:
+    return bench.stated.get("switches", {}).get("index_pulse", True) is not False
+
+
+def require_index(bench: DriveBench) -> None:
+    """Raise NotApplicable if the rig states that the encoder has no index pulse."""
+    if not _has_index(bench):
+        raise NotApplicable("switches.index_pulse = false: the encoder has none")
+
+
 @drive_clause("HOME-03", Level.L1, source=f"{_HM}, methods 17, 18, 1 and 2")
 def home_at_limit_switches(bench: DriveBench) -> None:
     """Methods 17 and 18 find the edge of a limit switch, 1 and 2 the index pulse beyond it."""
     keys = ("negative_limit_rad", "positive_limit_rad")
     per_rad = _begin(bench, *keys)
     low, high = (bench.stated["switches"][one] for one in keys)
-    for method in (17, 18, 1, 2):
+    for method in (17, 18, 1, 2) if _has_index(bench) else (17, 18):
         _expect_home(bench, method, (low + high) / 2.0, per_rad)
 
 
@@ -241,12 +251,14 @@ def home_at_the_switch(bench: DriveBench) -> None:
 @drive_clause("HOME-05", Level.L1, source=f"{_HM}, methods 3 to 14")
 def home_at_index_pulse(bench: DriveBench) -> None:
     """Methods 3 to 14 find the first index pulse beyond their edge of the home switch."""
+    require_index(bench)
     _expect_homes(bench, range(3, 15), (-1, 1))
 
 
 @drive_clause("HOME-06", Level.L1, source=f"{_HM}, methods 33 and 34")
 def home_at_next_index_pulse(bench: DriveBench) -> None:
     """Method 33 finds the next index pulse in negative direction, 34 in positive direction."""
+    require_index(bench)
     drive = bench.drive
     drive.require_mode(Mode.HM)
     drive.require_mode(Mode.PP)

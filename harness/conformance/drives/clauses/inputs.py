@@ -11,7 +11,11 @@ from motorhil.harness.conformance.drives.clauses.communication.process_data impo
     operational,
     quiet_other_pdos,
 )
-from motorhil.harness.conformance.drives.clauses.homing import home_beside_zero, scale
+from motorhil.harness.conformance.drives.clauses.homing import (
+    home_beside_zero,
+    require_index,
+    scale,
+)
 from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, Mode
@@ -237,6 +241,7 @@ def touch_probes(bench: DriveBench) -> None:
 @drive_clause("TP-02", Level.L1, source=f"{_PROBE}: index pulse")
 def index_pulse(bench: DriveBench) -> None:
     """A touch probe on the index pulse latches positions one turn of the motor apart."""
+    require_index(bench)
     drive = bench.drive
     drive.require_mode(Mode.PV)
     drive.require(od.PROBE_FUNCTION)

@@ -6,7 +6,7 @@ rig states, integrated once more, or in closed form.
 
 from collections.abc import Iterator
 from itertools import pairwise
-from math import asin, cos, hypot, pi, sin
+from math import asin, cos, hypot, log, pi, sin
 from types import SimpleNamespace
 from typing import Final
 
@@ -531,3 +531,31 @@ def wakes_are_late(bench: DriveBench) -> None:
     is_right = 0.3 * jitter_ms <= mean <= 0.7 * jitter_ms
     drive.expect(is_right, "mean lateness", expected, f"{mean:.2f} ms", "lateness is not even")
     drive.write(od.HEARTBEAT_PRODUCER, 0)
+
+
+@drive_clause("PLANT-12", Level.L2, source=f"{_MODEL}inertia and friction")
+def motor_runs_out(bench: DriveBench) -> None:
+    """Without current a turning motor slows down as inertia and friction let it, both ways."""
+    plant = _plant(bench)
+    drive = bench.drive
+    drive.require_mode(Mode.PV)
+    if plant.gravity_torque_n_m or plant.static_friction_n_m or plant.load_torque_n_m:
+        raise NotApplicable("the load changes with position or speed, or pushes")
+    pace, ratio = drive.pace(), plant.gear_ratio**2
+    viscous = plant.viscous_friction_n_m_s_rad * ratio + plant.output_viscous_friction_n_m_s_rad
+    friction, inertia = _friction(plant), _inertia(plant)
+    if not viscous:
+        raise NotApplicable("the motor has no viscous friction")
+    for sign in (1, -1):
+        drive.enable(Mode.PV)
+        drive.write(od.TARGET_VELOCITY, sign * pace.velocity)
+        drive.await_velocity(sign * pace.velocity, 3.0 * pace.ramp_s + 0.5)
+        drive.command(od.DISABLE_VOLTAGE)
+        drive.quiet()
+        begin_ns, fast = drive.now_ns, abs(bench.truth("velocity_rad_s"))
+        wanted = fast / 2.0
+        torques = friction + viscous * fast, friction + viscous * wanted
+        drive.quiet(inertia / viscous * log(torques[0] / torques[1]))
+        slow = abs(bench.truth("velocity_rad_s"))
+        what = f"{(drive.now_ns - begin_ns) / 1e9:.3f} s without current from {fast:.3g} rad/s"
+        _near(drive, slow, wanted, 0.03 * fast, what, "rad/s")

@@ -20,6 +20,8 @@ _GAINS: Final = {
     0x60FB: "position control parameters",
 }
 _CODES: Final = {1: "B", 2: "H", 4: "I"}  # by the number of bytes
+_HALTS: Final = 4
+_MOST_HALTS: Final = 100
 _NO_WINDOW: Final = 0xFFFF_FFFF
 _SLOW_INC_S: Final = 500.0  # speed of a slow move [increments/s]
 
@@ -253,6 +255,22 @@ def halt_and_continue(bench: DriveBench) -> None:
     drive.expect(moved <= drive.window(), "bit 8 = 1", "no motion", f"{moved} in 0.2 s")
     drive.command(od.ENABLE)
     drive.await_target(target, 2.0 * _time_s(pace), "bit 8 1 -> 0: the move is continued")
+    _expect_still(drive)
+
+
+def _expect_still(drive: Drive) -> None:
+    """Expect halts at rest to leave the motor where it is, how many so ever."""
+    drive.quiet()
+    count = 2 * drive.window() + _HALTS
+    if count > _MOST_HALTS:
+        return
+    position = drive.read(od.POSITION)
+    for _ in range(count):
+        drive.command(od.ENABLE | od.HALT)
+        drive.command(od.ENABLE)
+    drive.quiet()
+    near = drive.window()
+    drive.near(od.POSITION, position, near, f"{count} halts at rest", "each halt moves the motor")
 
 
 @drive_clause("PP-07", Level.L1, source=f"{_PP}, change on set-point (bit 9 = 1, bit 5 = 0)")

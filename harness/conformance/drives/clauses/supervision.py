@@ -11,6 +11,8 @@ from motorhil.harness.conformance.drives.objects import Mode, State
 
 _FOLLOWING: Final = 0x8611
 _TIMEOUT_MS: Final = 30
+_LONG_MS: Final = 300
+_TOO_MUCH: Final = 1.3  # of the motor's torque
 _FASTEST_S: Final = 0.01
 _HARDER, _FASTER = 100, 4
 _FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
@@ -91,8 +93,40 @@ def _lag_by_force(bench: DriveBench, pace: Pace) -> int:
     return window
 
 
-def _set_window(drive: Drive, window: int) -> None:
-    drive.set(od.FOLLOWING_TIMEOUT, _TIMEOUT_MS)
+@drive_clause("FOL-02", Level.L2, source="CiA 402-2, 6065h, 6066h, statusword bit 13; EMCY 8611h")
+def following_error_counts_on(bench: DriveBench) -> None:
+    """New set-points do not put off bit 13, or the fault, of a motor beyond 6065h for 6066h."""
+    drive = bench.drive
+    drive.require(od.FOLLOWING_WINDOW, od.FOLLOWING_TIMEOUT, od.FOLLOWING_ERROR)
+    drive.require_mode(Mode.PP)
+    bench.require_stated("plant")
+    plant, pace = bench.plant(), drive.pace()
+    torque_n_m = plant["current_max_a"] * plant["torque_constant_n_m_a"] * plant["gear_ratio"]
+    window = max(2, pace.distance(0.2) // 50)
+    _set_window(drive, window, _LONG_MS)
+    drive.enable(Mode.PP)
+    target = drive.read(od.POSITION)
+    bench.stimulate("load_torque_n_m", _TOO_MUCH * torque_n_m)
+    lag = drive.watch(od.FOLLOWING_ERROR, lambda one: abs(one.value) > window, 1.0)
+    beyond_ns = lag[-1].time_ns
+    if abs(lag[-1].value) <= window:
+        raise NotApplicable(f"60F4h stays within {window} under {_TOO_MUCH:g} times its torque")
+    within_s, word = _LONG_MS / 1e3 + 0.1, 0
+    while not word & od.BIT_13 and od.state_of(word) not in _FAULTS:
+        seen_s = (drive.now_ns - beyond_ns) / 1e9
+        what = f"|60F4h| > 6065h = {window}, 6066h = {_LONG_MS} ms, with a set-point each 50 ms"
+        expected = f"bit 13 or a fault within {within_s:.2f} s"
+        seen = f"6041h = {word:04X}h after {seen_s:.3f} s"
+        drive.expect(seen_s <= within_s, what, expected, seen, "each set-point begins 6066h anew")
+        drive.write(od.TARGET_POSITION, target)
+        for bit in (od.NEW_SET_POINT, 0):  # without its handshake: the fault may come meanwhile
+            drive.command(od.ENABLE | od.IMMEDIATELY | bit)
+        word = drive.until(lambda one: bool(one & od.BIT_13), 0.05) or drive.statusword()
+    bench.stimulate("load_torque_n_m", 0.0)
+
+
+def _set_window(drive: Drive, window: int, timeout_ms: int = _TIMEOUT_MS) -> None:
+    drive.set(od.FOLLOWING_TIMEOUT, timeout_ms)
     drive.set(od.FOLLOWING_WINDOW, window)
 
 

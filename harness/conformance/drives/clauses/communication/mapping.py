@@ -1,6 +1,6 @@
 """Mapping of process data: the procedure, what is refused, dummy entries."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from motorhil.harness.conformance.clause import Level, NotApplicable
@@ -9,7 +9,10 @@ from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.clauses.communication.process_data import (
     configure,
     operational,
+    quiet_other_pdos,
+    sync,
 )
+from motorhil.harness.conformance.drives.device_file import StatedObject
 from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, State
@@ -20,6 +23,8 @@ _ABSENT: Final = (0x0602_0000, 0x0604_0041)
 _NOT_MAPPABLE: Final = 0x0604_0041
 _TOO_LONG: Final = 0x0604_0042
 _VALUE: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0604_0043, 0x0800_0000, _UNSUPPORTED)
+_PDO_BITS: Final = 64
+_TPDO: Final = Entry(0x1800, 1, "I", "COB-ID")
 _BOOLEAN: Final = 0x0001
 _BIT: Final = 0x0001_0001  # a dummy of one bit
 _BITS: Final = 4
@@ -36,10 +41,31 @@ def _refused(drive: Drive, entry: Entry, value: int, codes: Sequence[int], why: 
     drive.near(entry, before, 0, f"{entry} = {value:X}h, refused")
 
 
+def _expect_own_mapping_again(drive: Drive, first: int) -> None:
+    """Expect the entries that a PDO has at power-on to be taken again, if they can be written."""
+    parameter, count = Entry(first, 1, "I", "COB-ID"), Entry(first + 0x200, 0, "B", "number")
+    cob_id, number = drive.find(parameter), drive.find(count)
+    if cob_id is None or not number:
+        return
+    entries = [Entry(first + 0x200, place, "I", "mapped object") for place in range(1, number + 1)]
+    own = [drive.read(entry) for entry in entries]
+    is_open = not drive.offer_value(parameter, cob_id | _INVALID)
+    if is_open and not drive.offer_value(count, 0):
+        for entry, value in zip(entries, own, strict=True):
+            code = drive.offer_value(entry, value)
+            expected = "accepted: it was there at power-on"
+            drive.expect(not code, f"{entry} = {value:08X}h", expected, f"{code:08X}h")
+        drive.write(count, number)
+    if is_open:
+        drive.write(parameter, cob_id)
+
+
 @drive_clause("PDO-09", Level.L0, source="CiA 301, 7.5.2.35 to 7.5.2.38, PDO mapping procedure")
 def mapping_procedure(bench: DriveBench) -> None:
     """A PDO is changed only while it is invalid; entries that cannot be mapped are refused."""
     drive = bench.drive
+    for first in (*range(0x1400, 0x1404), *range(0x1800, 0x1804)):
+        _expect_own_mapping_again(drive, first)
     for first, mapped in ((0x1400, od.CONTROLWORD), (0x1800, od.STATUSWORD)):
         identifier = configure(drive, first, (mapped,), 255)
         parameter, kind = Entry(first, 1, "I", "COB-ID"), Entry(first, 2, "B", "type")
@@ -78,6 +104,78 @@ def mapping_procedure(bench: DriveBench) -> None:
         drive.write(parameter, cob_id)
         seen = drive.read(parameter) & 0x7FF
         drive.expect(seen == identifier, "the PDO again", f"{identifier:03X}h", f"{seen:03X}h")
+
+
+@drive_clause("PDO-12", Level.L4, source="CiA 301, 7.5.2.38; CiA 306, PDOMapping, Granularity")
+def tpdo_has_its_objects(bench: DriveBench) -> None:
+    """Each object that the EDS lets a TPDO map is in it, at its place, as SDO tells it."""
+    drive, promised = bench.drive, bench.dictionary()
+    if not promised.granularity:
+        raise NotApplicable("the EDS lets no PDO be mapped")
+    mapping = _mapped(drive, 0x1A00)
+    identifier = configure(drive, 0x1800, (od.STATUSWORD,), 1)
+    quiet_other_pdos(drive, 0x1800)
+    cob_id = drive.read(_TPDO)
+    operational(drive)
+    sent = [one for one in promised.objects if one.sent_bits % promised.granularity == 0]
+    for group in _grouped([one for one in sent if one.sent_bits], len(mapping)):
+        drive.write(_TPDO, cob_id | _INVALID)
+        drive.write(Entry(0x1A00, 0, "B", "number"), 0)
+        for entry, one in zip(mapping, group, strict=False):
+            value = one.index << 16 | one.subindex << 8 | one.sent_bits
+            code = drive.offer_value(entry, value)
+            expected = f"accepted: PDOMapping = 1, {one.access} in the EDS"
+            drive.expect(not code, f"{entry} = {value:08X}h", expected, f"{code:08X}h")
+        drive.write(Entry(0x1A00, 0, "B", "number"), len(group))
+        drive.write(_TPDO, cob_id)
+        _expect_values(drive, identifier, group)
+
+
+def _mapped(drive: Drive, index: int) -> list[Entry]:
+    """Return the entries of a mapping, which a PDO can have."""
+    entries = [Entry(index, place, "I", "mapped object") for place in range(1, 65)]
+    absent = (at for at, one in enumerate(entries) if drive.find(one) is None)
+    return entries[: next(absent, len(entries))]
+
+
+def _grouped(objects: Sequence[StatedObject], most: int) -> Iterator[list[StatedObject]]:
+    """Yield as many objects as fit into a PDO, in order, until all have come."""
+    group: list[StatedObject] = []
+    for one in objects:
+        if group and (len(group) == most or _bits(group) + one.sent_bits > _PDO_BITS):
+            yield group
+            group = []
+        group.append(one)
+    if group:
+        yield group
+
+
+def _bits(objects: Sequence[StatedObject]) -> int:
+    return sum(one.sent_bits for one in objects)
+
+
+def _expect_values(drive: Drive, identifier: int, group: Sequence[StatedObject]) -> None:
+    """Expect a TPDO to have the values of these objects that do not change meanwhile."""
+
+    def told() -> list[int]:
+        read = [drive.upload(one.index, one.subindex) for one in group]
+        whole = [int.from_bytes(data, "little") for data in read]
+        return [value & (1 << one.sent_bits) - 1 for value, one in zip(whole, group, strict=True)]
+
+    before, begin_ns = told(), drive.now_ns
+    sync(drive)
+    heard, after = drive.client.heard(identifier, begin_ns), told()
+    names = ", ".join(f"{one.index:04X}h:{one.subindex:02X}" for one in group)
+    what, size = f"TPDO with {names}", -(-_bits(group) // 8)
+    sizes = [len(frame.data) for frame in heard]
+    drive.expect(sizes == [size], what, f"one of {size} bytes at SYNC", f"{sizes}")
+    payload = int.from_bytes(heard[0].data, "little")
+    for one, value, later in zip(group, before, after, strict=True):
+        seen = payload & (1 << one.sent_bits) - 1
+        payload >>= one.sent_bits
+        place = f"{one.index:04X}h:{one.subindex:02X}"
+        expected = f"{value:X}h, as read by SDO"
+        drive.expect(seen == value or value != later, f"{place} in {what}", expected, f"{seen:X}h")
 
 
 @drive_clause("PDO-10", Level.L4, source="CiA 301, 7.4.7.3 and 7.5.2.36: dummy mapping entries")
