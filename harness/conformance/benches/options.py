@@ -44,13 +44,16 @@ def _patient(kind: str) -> list[Change]:
 
 
 _CIA402: Final[Mapping[str, Sequence[Change]]] = {
-    "motor options": of_motor(
-        "cia402",
-        "host_node_id = 100\nheartbeat_ms = 60\nheartbeat_timeout_ms = 250\nstatus_period_ms = 10\n"
-        "status_inhibit_ms = 3.0\nvelocity_period_ms = 12\nset_point_period_ms = 4\n"
-        "connect_timeout_s = 2.0\nsdo_timeout_s = 0.2\nsdo_quarantine_s = 0.6\n"
-        "sdo_reply_ms = 10.0\noscillator_ppm = 100.0",
-    ),
+    "motor options": [
+        *of_motor(
+            "cia402",
+            "host_node_id = 100\nheartbeat_ms = 60\nheartbeat_timeout_ms = 250\n"
+            "status_period_ms = 10\nstatus_inhibit_ms = 3.0\nvelocity_period_ms = 12\n"
+            "set_point_period_ms = 4\nconnect_timeout_s = 2.0\nsdo_timeout_s = 0.2\n"
+            "sdo_quarantine_s = 0.6\nsdo_reply_ms = 10.0\noscillator_ppm = 100.0",
+        ),  # it is told to leave its third TPDO on, which the host must switch off
+        *of_controller("cia402", 'objects = { "1802h:2" = 255, "1802h:5" = 5 }'),
+    ],
     "lost host disables": of_motor("cia402", "connection_loss = 2"),
     "lost host is a fault": of_motor("cia402", "connection_loss = 1"),
     "status by SDO": [  # start() hears of it late; a wait lasts as long as its request

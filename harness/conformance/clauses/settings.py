@@ -50,10 +50,13 @@ _WRONG: Final[tuple[object, ...]] = (True, "", "no such word", 0.5, nan, inf, -i
 """Values of all types; an option takes few of them, if any."""
 _NO_ADDRESS: Final[tuple[object, ...]] = (True, -1, 0x1_0000, 1.5, "1", None)
 _NO_PARAMETERS: Final[tuple[object, ...]] = ({}, None, 1, "parameters")
+_SCALE: Final = "increments_per_unit"
 _SCALES: Final = (
-    *("gear_ratio", "encoder_increments_rev", "increments_per_unit"),
-    *("velocity_unit", "acceleration_unit"),
+    *(("gear_ratio", _SCALE), ("encoder_increments_rev", _SCALE)),  # which are made into a scale
+    ("gear_ratio", "encoder_increments_rev", _SCALE),
+    *(("velocity_unit",), ("acceleration_unit",)),
 )
+"""Facts of a model that a motor may need, each with what a model derives from it."""
 _SPEED: Final = 0.5  # of the model's velocity
 _HERE: Final = 35  # CiA 402-2, 6098h
 _SETTLED_S: Final = 0.5
@@ -422,11 +425,13 @@ def model_without_scale_is_refused_or_right(bench: RigProtocol) -> None:
     model = built.model
     bench.true_position(built)  # its scale is that of the whole model
     built.close()
-    for name in _SCALES:
-        if (getattr(model, name) or 0.0) > 0.0:  # a negative one is the direction, too
-            without: dict[str, Any] = {name: None}
+    for names in _SCALES:
+        known = [getattr(model, name) for name in names if getattr(model, name) is not None]
+        if known and min(known) > 0.0:  # a negative one is the direction, too
+            without: dict[str, Any] = dict.fromkeys(names)
             lacking = replace(model, name="incomplete", **without)
-            _expect_refused_or_right(bench, values, lacking, f"a model without {name}")
+            what = f"a model without {', '.join(names)}"
+            _expect_refused_or_right(bench, values, lacking, what)
     other = MotionKind.LINEAR if model.kind is MotionKind.ROTARY else MotionKind.ROTARY
     error = failure_of(lambda: bench.build(values, replace(model, kind=other)).close())
     expect(
@@ -442,7 +447,9 @@ def _expect_refused_or_right(
     try:
         motor = bench.build(values, model)
     except UsageError as error:
-        expect(model.name in f"{error}", f"{what}: {error}; expected the name {model.name}")
+        names = model.name, f"{values.get('name', model.name)}"
+        is_named = any(one in f"{error}" for one in names)
+        expect(is_named, f"{what}: {error}; expected the name {' or '.join(names)}")
         return
     try:
         motor.enable()
