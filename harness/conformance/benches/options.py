@@ -106,11 +106,17 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         "current_brake_max_a = 30.0\ncurrent_min_a = 0.04\nduty_min = 0.004\nduty_max = 0.97\n"
         'duty_ramp_s = 25.0\nhardware = "410"\nfirmware_major = 6\nfirmware_minor = 2',
     ),
-    "amplifier options": of_controller(
-        "cia401",
-        "timing = { boot_up_s = 0.5, sdo_reply_s = 0.002 }\n"
-        "amplifier = { enable_s = 0.01, tick_s = 0.0002, current_steps = 4 }",
-    ),
+    "amplifier options": [  # used up to its full scale, by a slow motor whose friction is not told
+        *of_controller(
+            "cia401",
+            "timing = { boot_up_s = 0.5, sdo_reply_s = 0.002 }\namplifier = { enable_s = 0.01,"
+            " tick_s = 0.0002, current_steps = 4, current_per_volt_a_v = 0.28 }",
+        ),
+        ("current_per_volt_a_v = 0.8", "current_per_volt_a_v = 0.28"),
+        ("velocity_max_rad_s = 2.0", "velocity_max_rad_s = 1.0"),
+        ("friction_feedforward_a = 0.154\n", ""),
+        ("following_rad = 0.0002", "following_rad = 0.002"),
+    ],
     "velocities in rpm": [
         ('adaptation = "dryve"\n', 'adaptation = "dryve"\nvelocity_unit = "rpm"\n'),
         ('kind = "dryve"\n', 'kind = "dryve"\nvelocity_unit = "rpm"\n'),
