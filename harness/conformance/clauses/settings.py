@@ -147,7 +147,7 @@ def wrong_settings_are_refused_by_name(bench: RigProtocol) -> None:
             rest = {one: right[one] for one in right if one != key}
             _expect_refused(bench, rest, f"without {key}", key)
     _expect_ends(bench, stated, unit)
-    _expect_largest_fit(bench, stated, unit)
+    _expect_ends_fit(bench, stated, unit)
     _expect_refused(bench, {**right, _UNKNOWN: 1}, f"the unknown key {_UNKNOWN}", _UNKNOWN)
     motor = bench.motor
     motor.enable()
@@ -183,21 +183,23 @@ def _expect_ends(bench: RigProtocol, stated: Stated, unit: str) -> None:
             )
 
 
-def _expect_largest_fit(bench: RigProtocol, stated: Stated, unit: str) -> None:
-    """Expect the largest numbers to fit what the drive holds, or to be refused by name."""
+def _expect_ends_fit(bench: RigProtocol, stated: Stated, unit: str) -> None:
+    """Expect the ends of each range to fit what the drive holds, or to be refused by name."""
     for key, name in stated.declaration.names(unit).items():
         kind = stated.declaration.keys[name].kind
-        if not isinstance(kind, Number) or not isfinite(kind.high) or key in ADDRESS_KEYS:
+        if not isinstance(kind, Number) or key in ADDRESS_KEYS:
             continue
-        end = int(kind.high) if kind.is_whole else kind.high
-        if not _takes(kind, end):
-            continue
-        with suppress(RigError), bench.altered({key: end}, {}):  # else refused beside another
-            error = failure_of(bench.motor.enable)
-            expect(
-                not isinstance(error, UsageError) or key in f"{error}",
-                f"{key} = {end:g}, an end of its range: {error}; expected a refusal by its name",
-            )
+        ends = [one for one in (kind.low, kind.high) if isfinite(one)]
+        for end in (int(one) if kind.is_whole else one for one in ends):
+            if not _takes(kind, end):
+                continue
+            with suppress(RigError), bench.altered({key: end}, {}):  # else refused beside another
+                error = failure_of(bench.motor.enable)
+                expect(
+                    not isinstance(error, UsageError) or key in f"{error}",
+                    f"{key} = {end:g}, an end of its range: {error}; expected a refusal by its"
+                    " name",
+                )
 
 
 @clause(
@@ -251,10 +253,20 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
     _expect_options(getattr(hardware, "options", None))
     stated = bench.stated()
     if stated is not None:
+        _expect_defaults(type(hardware), stated)
         _expect_shared(bench, motor, hardware, stated)
         _expect_addresses(bench, motor, hardware, stated)
     motor.enable()
     expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
+
+
+def _expect_defaults(kind: Callable[..., Any], stated: Stated) -> None:
+    """Expect a hardware object that an application makes to have the defaults of a rig's."""
+    for name, one in signature(kind).parameters.items():
+        known = stated.declaration.defaults.get(name, one.default)
+        if one.default not in (one.empty, None) and known is not None:
+            told = f"{name}: {one.default!r} by default in {kind.__name__}, {known!r} in a rig"
+            expect(one.default == known, told)
 
 
 def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: Stated) -> None:

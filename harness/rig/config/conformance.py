@@ -44,6 +44,7 @@ class Capability(Enum):
     COMPLEX_POSITION = "complex position trajectories"
     COMPLEX_VELOCITY = "complex velocity trajectories"
     LIMITED_SET_POINT = "set-points with a velocity limit"
+    LIMITED_JERK = "trajectories with a limit of jerk"
     MEASURED_TORQUE = "torque measurement"
     MEASURED_FOLLOWING_ERROR = "following error measurement"
     HOMING = "homing"
@@ -163,7 +164,7 @@ class ConformanceTable:
     claims: tuple[str, ...] = setting(
         (),
         Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
-        "Capabilities that the motor cannot claim itself.",
+        "Capabilities that the motor must have, or cannot claim itself.",
     )
     without: Mapping[str, str] = table(
         Declaration(
