@@ -12,6 +12,8 @@ from itertools import product
 from math import inf, isfinite, nan, nextafter
 from typing import Any, Final
 
+from can import CanError, CanProtocol
+
 from motorhil.harness.conformance.bench import Ability, RigProtocol, Stated
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
@@ -293,8 +295,25 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
             isinstance(error, UsageError) and repr(value) in f"{error}",
             f"{kind.__name__} with {second} = {value!r}: {error}; expected a UsageError with it",
         )
-    error = failure_of(partial(kind, bench.link, stated.values.get(second), **own))
-    expect(isinstance(error, UsageError), f"a second {kind.__name__} of {motor.name}: {error}")
+    for link in (bench.link, _opened_again(bench.link)):
+        if link is not None:
+            error = failure_of(partial(kind, link, stated.values.get(second), **own))
+            by = "" if link is bench.link else ", by another bus object on its bus"
+            what = f"a second {kind.__name__} of {motor.name}{by}"
+            expect(isinstance(error, UsageError), f"{what}: {error}; expected UsageError")
+            if link is not bench.link:
+                link.shutdown()
+
+
+def _opened_again(link: Any) -> Any:
+    """Return another bus object of python-can on the same bus, or None."""
+    if not all(hasattr(link, name) for name in ("channel", "protocol", "shutdown")):
+        return None
+    is_fd = link.protocol is not CanProtocol.CAN_20
+    try:
+        return type(link)(channel=link.channel, **({"fd": True} if is_fd else {}))
+    except (TypeError, ValueError, CanError):
+        return None  # its interface needs more, or allows only one
 
 
 def _expect_parameters(motor: Any) -> None:

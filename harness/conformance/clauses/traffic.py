@@ -624,7 +624,7 @@ def _expect_declared(
     source="requirement 5; NodeTraffic, CanDrive.note_frames: the traffic of a motor on its bus",
 )
 def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
-    """The periodic frames of a motor are on its bus as declared: no longer, and no more often."""
+    """The periodic frames of a motor are as declared: no others, no longer, and no more often."""
     motor, link = bench.motor, bench.link
     before = _frames_of(bench, lambda: rest_for(bench, _BEFORE_S))
     motor.enable()
