@@ -23,6 +23,7 @@ from motorhil.motorapi.api import (
     whole,
     word,
 )
+from motorhil.motorapi.api.polled_hardware import Wanted
 
 
 @final
@@ -35,7 +36,7 @@ class DryveMotor(PolledMotor[DryveHwMotor]):
         return None if heard is None else heard._replace(following_error=None)
 
     def _is_done(self) -> bool:
-        if self.hardware.homing_failed:
+        if self.hardware.homing_failed and self.hardware.progress.wanted is not Wanted.REST:
             raise PeerError(
                 f"{self.name}: homing failed (statusword bit 13); expected bit 12; check its switch"
                 " and method (6098h), then home() again"
