@@ -115,13 +115,16 @@ VARIANTS["no heartbeat consumer"] = [
     *of_drive(f'eds = "{_without("1016")}"'),
     (_SEEKING, _WITHOUT_CONSUMER),
 ]
-VARIANTS["fixed TPDOs and window, no factors"] = [
-    *of_drive(f'eds = "{_changed(_without("608F", "6091", "6092"), **_FIXED)}"'),
-    ("latency_s = [0.0, 0.001]", "latency_s = [-0.02, 0.001]"),  # the status is heard later
-]
 VARIANTS["position limits in the drive"] = of_drive(
     'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
 )
+OF_ONE_PROGRAM = {
+    "fixed TPDOs and window, no factors": [
+        *of_drive(f'eds = "{_changed(_without("608F", "6091", "6092"), **_FIXED)}"'),
+        ("latency_s = [0.0, 0.001]", "latency_s = [-0.02, 0.001]"),  # the status is heard later
+    ],
+}
+"""Drives that refuse the PDOs of each program, which stops the node (NMT) to write them."""
 BENCHES = {
     kind: (OWN, *applicable((RIGS / f"{kind}.toml").read_text()))
     for kind in KINDS

@@ -48,6 +48,7 @@ _SETTLED_S = 0.2
 _PUSH = 0.2  # of the largest torque
 _PROMPT_S = 0.02  # a reading that meets the peak after a load
 _READINGS = 40
+_SWITCHES = "switches"
 _BEGIN = "initial_position_rad"
 _OUT_OF_REACH = 1e12  # rad: no counter of 32 bits has it
 _HERE = (37, 35)  # CiA 402-2, 6098h: homing on the spot
@@ -254,6 +255,8 @@ def position_goes_on_beyond_the_counter(bench: RigProtocol) -> None:
     stated = bench.stated(of_drive=True)
     if stated is None or _BEGIN not in stated.declaration.keys:
         raise NotApplicable(f"the drive cannot begin elsewhere ({_BEGIN})")
+    if _SWITCHES in stated.values:
+        raise NotApplicable("the drive has limit switches, which are nearer")
     if bench.motor.model.kind is not MotionKind.ROTARY:
         raise NotApplicable("the position of a linear motor is not that of its drive in rad")
     kind, found = stated.declaration.keys[_BEGIN].kind, False

@@ -118,7 +118,8 @@ def opener(name: str) -> Any:
         return kit_benches.opener(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "rig.toml")
-        path.write_text(variants.text_of(variants.VARIANTS[name.removeprefix(_OF)]))
+        known = variants.VARIANTS | variants.OF_ONE_PROGRAM
+        path.write_text(variants.text_of(known[name.removeprefix(_OF)]))
         described = bench_description(read_rig(path, installed_plugins()), "cia402")
     return lambda: RigBench(described, 1)
 
