@@ -12,8 +12,6 @@ from itertools import product
 from math import inf, isfinite, nan, nextafter
 from typing import Any, Final
 
-from can import CanError, CanProtocol
-
 from motorhil.harness.conformance.bench import Ability, RigProtocol, Stated
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
@@ -47,6 +45,7 @@ from motorhil.motorapi.model import MotionKind
 from motorhil.settings import Number, SettingError, Text, declaration, shown
 
 _UNIT_MAX: Final = 16  # characters
+_CLASSICAL: Final = "CAN_20"  # python-can's name
 _UNKNOWN: Final = "no_such_option"
 _WRONG: Final[tuple[object, ...]] = (True, "", "no such word", 0.5, nan, inf, -inf, [], {}, b"1")
 """Values of all types; an option takes few of them, if any."""
@@ -295,7 +294,8 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
             isinstance(error, UsageError) and repr(value) in f"{error}",
             f"{kind.__name__} with {second} = {value!r}: {error}; expected a UsageError with it",
         )
-    for link in (bench.link, _opened_again(bench.link)):
+    again = _opened_again(bench.link) if Ability.ONE_PROGRAM in bench.abilities else None
+    for link in (bench.link, again):
         if link is not None:
             error = failure_of(partial(kind, link, stated.values.get(second), **own))
             by = "" if link is bench.link else ", by another bus object on its bus"
@@ -309,11 +309,11 @@ def _opened_again(link: Any) -> Any:
     """Return another bus object of python-can on the same bus, or None."""
     if not all(hasattr(link, name) for name in ("channel", "protocol", "shutdown")):
         return None
-    is_fd = link.protocol is not CanProtocol.CAN_20
+    is_fd = link.protocol.name != _CLASSICAL
     try:
         return type(link)(channel=link.channel, **({"fd": True} if is_fd else {}))
-    except (TypeError, ValueError, CanError):
-        return None  # its interface needs more, or allows only one
+    except Exception:  # of any kind: its interface needs more, or allows only one
+        return None
 
 
 def _expect_parameters(motor: Any) -> None:
