@@ -612,7 +612,7 @@ def _expect_declared(
     expect(
         unasked <= _UNDECLARED_HZ * lasted_s,
         f"{unasked} frames of drives in {lasted_s:g} s are not declared, are no answers, and came"
-        f" only since the motor was enabled: ranks {', '.join(f'{one:X}h' for one in others)}",
+        f" only since the motors were enabled: ranks {', '.join(f'{one:X}h' for one in others)}",
     )
 
 
@@ -627,7 +627,8 @@ def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
     """The periodic frames of a motor are as declared: no others, no longer, and no more often."""
     motor, link = bench.motor, bench.link
     before = _frames_of(bench, lambda: rest_for(bench, _BEFORE_S))
-    motor.enable()
+    for one in bench.motors:  # the drive of another one may have begun to send since
+        one.enable()
     begun_ns = bench.runtime.now_ns()
     seen = _frames_of(bench, lambda: move(bench, motor, long_move(bench)))
     lasted_s = elapsed_s(bench, begun_ns)
