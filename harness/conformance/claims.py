@@ -130,6 +130,8 @@ def _claims(motor: Motor, capability: Capability) -> bool:
         return _takes_functions(motor, ControlVariable.VELOCITY)
     if capability is Capability.LIMITED_SET_POINT:
         return _takes_limits(motor)
+    if capability is Capability.LIMITED_JERK:
+        return motor.logical.hooks.limits_jerk(ControlVariable.POSITION)
     return capability.is_assumed
 
 

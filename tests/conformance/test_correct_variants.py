@@ -4,6 +4,7 @@ import sys
 
 import pytest
 
+from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
 from motorhil.harness.conformance.benches.variations import APART, READ
@@ -19,6 +20,7 @@ from motorhil.harness.rig.reading import installed_plugins
 from tests.conformance.variants import (
     BENCHES,
     LIMITED_JERK,
+    OF_ONE_PROGRAM,
     OTHERS,
     VARIANTS,
     VENDORS,
@@ -65,6 +67,12 @@ def test_variant_is_not_accused(tmp_path, name):
     assert accusations(opener_of(tmp_path, *VARIANTS[name]), names) == []
 
 
+@pytest.mark.parametrize("name", OF_ONE_PROGRAM)
+def test_variant_of_one_program_is_not_accused(tmp_path, name):
+    alone = [one for one in slice_of(5) if Ability.SECOND_PROGRAM not in CLAUSES[one].bench]
+    assert accusations(opener_of(tmp_path, *OF_ONE_PROGRAM[name]), alone) == []
+
+
 @pytest.mark.parametrize(("kind", "name"), OTHERS)
 def test_varied_motor_of_another_kind_is_not_accused(kind, name):
     names = list(CLAUSES)[OTHERS.index((kind, name)) :: 2 * _STRIDE]
@@ -103,6 +111,7 @@ OTHERS_ONCE_ACCUSED = [
     *(("cia402", APART, one) for one in ("OPT-03", "OPT-04", "FIT-01")),  # left open
     ("moteus", "starts at 5 rad", "LIM-01"),  # its limit is rounded up: it was refused the way back
     ("oriental_az", "AZ drive keeps its trigger", "PROC-14"),  # it ignored the stop of a program
+    ("leadshine", "Leadshine drive options", "MEAS-06"),  # held by a limit switch
     ("leadshine", "Leadshine drive options", "SYNC-09"),  # told late, it stopped where it arrives
     ("cia402", READ, "LOST-03"),  # the set-up by a reader hid the loss from the owner,
     ("software", READ, "LOST-12"),  # and made a motion done that it had ended

@@ -71,6 +71,31 @@ def _without(*objects: str) -> Path:
     return path
 
 
+def _changed(eds: Path, **sections: str) -> Path:
+    """Return a copy of an EDS with other entries in these sections.
+
+    A section is the object's index and sub-index after an underscore, such as `_1A00sub1`; an
+    entry is `KEY=VALUE`, and a space separates entries.
+    """
+    text = eds.read_text()
+    for section, entries in sections.items():
+        for entry in entries.split():
+            begin = rf"(\[{section[1:]}\]\n(?:.+\n)*?){entry.partition('=')[0]}=.*"
+            text, count = re.subn(begin, rf"\g<1>{entry}", text)
+            assert count == 1, (section, entry)
+    path = eds.with_stem(f"{eds.stem}_changed")
+    path.write_text(text)
+    return path
+
+
+_FIXED = {f"_1A0{pdo}sub{place}": "AccessType=const" for pdo in range(4) for place in range(9)}
+_FIXED |= {  # TPDO 2 has the position before the statusword, every 20 ms
+    "_1A01sub0": "AccessType=const DefaultValue=2",
+    "_1A01sub1": "AccessType=const DefaultValue=0x60640020",
+    "_1A01sub2": "AccessType=const DefaultValue=0x60410010",
+    "_1801sub5": "DefaultValue=20",
+    "_6065": "AccessType=ro",
+}
 _NO_RPDOS = [
     *of_drive(f'eds = "{_without("140.", "160.", "60F4")}"'),
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # an SDO is answered afterwards
@@ -93,6 +118,13 @@ VARIANTS["no heartbeat consumer"] = [
 VARIANTS["position limits in the drive"] = of_drive(
     'objects = { "607Dh:1" = -210_000, "607Dh:2" = 210_000 }'
 )
+OF_ONE_PROGRAM = {
+    "fixed TPDOs and window, no factors": [
+        *of_drive(f'eds = "{_changed(_without("608F", "6091", "6092"), **_FIXED)}"'),
+        ("latency_s = [0.0, 0.001]", "latency_s = [-0.02, 0.001]"),  # the status is heard later
+    ],
+}
+"""Drives that refuse the PDOs of each program, which stops the node (NMT) to write them."""
 BENCHES = {
     kind: (OWN, *applicable((RIGS / f"{kind}.toml").read_text()))
     for kind in KINDS

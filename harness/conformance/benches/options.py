@@ -44,13 +44,16 @@ def _patient(kind: str) -> list[Change]:
 
 
 _CIA402: Final[Mapping[str, Sequence[Change]]] = {
-    "motor options": of_motor(
-        "cia402",
-        "host_node_id = 100\nheartbeat_ms = 60\nheartbeat_timeout_ms = 250\nstatus_period_ms = 10\n"
-        "status_inhibit_ms = 3.0\nvelocity_period_ms = 12\nset_point_period_ms = 4\n"
-        "connect_timeout_s = 2.0\nsdo_timeout_s = 0.2\nsdo_quarantine_s = 0.6\n"
-        "sdo_reply_ms = 10.0\noscillator_ppm = 100.0",
-    ),
+    "motor options": [
+        *of_motor(
+            "cia402",
+            "host_node_id = 100\nheartbeat_ms = 60\nheartbeat_timeout_ms = 250\n"
+            "status_period_ms = 10\nstatus_inhibit_ms = 3.0\nvelocity_period_ms = 12\n"
+            "set_point_period_ms = 4\nconnect_timeout_s = 2.0\nsdo_timeout_s = 0.2\n"
+            "sdo_quarantine_s = 0.6\nsdo_reply_ms = 10.0\noscillator_ppm = 100.0",
+        ),  # it is told to leave its third TPDO on, which the host must switch off
+        *of_controller("cia402", 'objects = { "1802h:2" = 255, "1802h:5" = 5 }'),
+    ],
     "lost host disables": of_motor("cia402", "connection_loss = 2"),
     "lost host is a fault": of_motor("cia402", "connection_loss = 1"),
     "status by SDO": [  # start() hears of it late; a wait lasts as long as its request
@@ -103,11 +106,17 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         "current_brake_max_a = 30.0\ncurrent_min_a = 0.04\nduty_min = 0.004\nduty_max = 0.97\n"
         'duty_ramp_s = 25.0\nhardware = "410"\nfirmware_major = 6\nfirmware_minor = 2',
     ),
-    "amplifier options": of_controller(
-        "cia401",
-        "timing = { boot_up_s = 0.5, sdo_reply_s = 0.002 }\n"
-        "amplifier = { enable_s = 0.01, tick_s = 0.0002, current_steps = 4 }",
-    ),
+    "amplifier options": [  # used up to its full scale, by a slow motor whose friction is not told
+        *of_controller(
+            "cia401",
+            "timing = { boot_up_s = 0.5, sdo_reply_s = 0.002 }\namplifier = { enable_s = 0.01,"
+            " tick_s = 0.0002, current_steps = 4, current_per_volt_a_v = 0.28 }",
+        ),
+        ("current_per_volt_a_v = 0.8", "current_per_volt_a_v = 0.28"),
+        ("velocity_max_rad_s = 2.0", "velocity_max_rad_s = 1.0"),
+        ("friction_feedforward_a = 0.154\n", ""),
+        ("following_rad = 0.0002", "following_rad = 0.002"),
+    ],
     "velocities in rpm": [
         ('adaptation = "dryve"\n', 'adaptation = "dryve"\nvelocity_unit = "rpm"\n'),
         ('kind = "dryve"\n', 'kind = "dryve"\nvelocity_unit = "rpm"\n'),

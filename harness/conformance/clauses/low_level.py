@@ -46,6 +46,16 @@ _SLOW: Final = 3.0
 _PATIENCE_S: Final = 10.0
 _LOOK_S: Final = 0.2
 _DEVICE_TYPE, _IDENTITY, _HEARTBEAT = 0x1000, 0x1018, 0x1017  # CiA 301
+_TPDO, _MAPPED = 0x1803, 0x1A03  # CiA 301, TPDO 4: its communication, and mapped objects
+_INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
+_UNMAPPABLE: Final = 0x1000_0020  # the device type
+_NO_OBJECT: Final = 0x5FFE
+_MEANINGS: Final = {  # CiA 301, SDO abort codes
+    0x0602_0000: "not exist",
+    0x0609_0011: "sub",
+    0x0601_0002: "read only",
+    0x0604_0041: "mapped",
+}
 _NMT, _STOP = 0x000, 0x02  # CiA 301, NMT
 _POSITION: Final = 0x6064
 _STREAM_S: Final = 0.01
@@ -252,6 +262,7 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
             hardware.download(_HEARTBEAT, 0, (written_ms + 2).to_bytes(2, "little"))
             _expect_period(hardware, written_ms + 2, "download()")
         hardware.write(_HEARTBEAT, period_ms)
+        _expect_aborts_in_words(hardware)
         _expect_refused_elsewhere(bench, "upload()", partial(hardware.upload, _DEVICE_TYPE, 0))
         own = partial(hardware.write, _HEARTBEAT, period_ms)
         _expect_refused_elsewhere(bench, "write()", own)
@@ -267,6 +278,29 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
         enable = _simple(hardware, "enable")
         expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
+
+
+def _expect_aborts_in_words(hardware: Any) -> None:
+    """Expect the refusals of a node to be told in words of CiA 301, beside their codes."""
+    for operation in (
+        partial(hardware.upload, _NO_OBJECT),
+        partial(hardware.upload, _DEVICE_TYPE, 1),
+        partial(hardware.download, _DEVICE_TYPE, 0, bytes(4)),
+        partial(_map_the_unmappable, hardware),
+    ):
+        error = failure_of(operation)
+        expect(isinstance(error, PeerError), f"{error!r}; expected an abort of the node")
+        for code, word in _MEANINGS.items():
+            is_told = f"{code:08X}h" not in f"{error}" or word in f"{error}".lower()
+            expect(is_told, f"{error}; expected what {code:08X}h means, with the word {word!r}")
+
+
+def _map_the_unmappable(hardware: Any) -> None:
+    """Map the device type in a TPDO that is off, which no node allows."""
+    switched_off = hardware.read(_TPDO, 1) | _INVALID
+    hardware.download(_TPDO, 1, switched_off.to_bytes(4, "little"))
+    hardware.download(_MAPPED, 0, bytes(1))
+    hardware.download(_MAPPED, 1, _UNMAPPABLE.to_bytes(4, "little"))
 
 
 def _expect_refused_elsewhere(

@@ -45,15 +45,19 @@ from motorhil.motorapi.model import MotionKind
 from motorhil.settings import Number, SettingError, Text, declaration, shown
 
 _UNIT_MAX: Final = 16  # characters
+_CLASSICAL: Final = "CAN_20"  # python-can's name
 _UNKNOWN: Final = "no_such_option"
 _WRONG: Final[tuple[object, ...]] = (True, "", "no such word", 0.5, nan, inf, -inf, [], {}, b"1")
 """Values of all types; an option takes few of them, if any."""
 _NO_ADDRESS: Final[tuple[object, ...]] = (True, -1, 0x1_0000, 1.5, "1", None)
 _NO_PARAMETERS: Final[tuple[object, ...]] = ({}, None, 1, "parameters")
+_SCALE: Final = "increments_per_unit"
 _SCALES: Final = (
-    *("gear_ratio", "encoder_increments_rev", "increments_per_unit"),
-    *("velocity_unit", "acceleration_unit"),
+    *(("gear_ratio", _SCALE), ("encoder_increments_rev", _SCALE)),  # which are made into a scale
+    ("gear_ratio", "encoder_increments_rev", _SCALE),
+    *(("velocity_unit",), ("acceleration_unit",)),
 )
+"""Facts of a model that a motor may need, each with what a model derives from it."""
 _SPEED: Final = 0.5  # of the model's velocity
 _HERE: Final = 35  # CiA 402-2, 6098h
 _SETTLED_S: Final = 0.5
@@ -144,7 +148,7 @@ def wrong_settings_are_refused_by_name(bench: RigProtocol) -> None:
             rest = {one: right[one] for one in right if one != key}
             _expect_refused(bench, rest, f"without {key}", key)
     _expect_ends(bench, stated, unit)
-    _expect_largest_fit(bench, stated, unit)
+    _expect_ends_fit(bench, stated, unit)
     _expect_refused(bench, {**right, _UNKNOWN: 1}, f"the unknown key {_UNKNOWN}", _UNKNOWN)
     motor = bench.motor
     motor.enable()
@@ -180,21 +184,23 @@ def _expect_ends(bench: RigProtocol, stated: Stated, unit: str) -> None:
             )
 
 
-def _expect_largest_fit(bench: RigProtocol, stated: Stated, unit: str) -> None:
-    """Expect the largest numbers to fit what the drive holds, or to be refused by name."""
+def _expect_ends_fit(bench: RigProtocol, stated: Stated, unit: str) -> None:
+    """Expect the ends of each range to fit what the drive holds, or to be refused by name."""
     for key, name in stated.declaration.names(unit).items():
         kind = stated.declaration.keys[name].kind
-        if not isinstance(kind, Number) or not isfinite(kind.high) or key in ADDRESS_KEYS:
+        if not isinstance(kind, Number) or key in ADDRESS_KEYS:
             continue
-        end = int(kind.high) if kind.is_whole else kind.high
-        if not _takes(kind, end):
-            continue
-        with suppress(RigError), bench.altered({key: end}, {}):  # else refused beside another
-            error = failure_of(bench.motor.enable)
-            expect(
-                not isinstance(error, UsageError) or key in f"{error}",
-                f"{key} = {end:g}, an end of its range: {error}; expected a refusal by its name",
-            )
+        ends = [one for one in (kind.low, kind.high) if isfinite(one)]
+        for end in (int(one) if kind.is_whole else one for one in ends):
+            if not _takes(kind, end):
+                continue
+            with suppress(RigError), bench.altered({key: end}, {}):  # else refused beside another
+                error = failure_of(bench.motor.enable)
+                expect(
+                    not isinstance(error, UsageError) or key in f"{error}",
+                    f"{key} = {end:g}, an end of its range: {error}; expected a refusal by its"
+                    " name",
+                )
 
 
 @clause(
@@ -248,10 +254,20 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
     _expect_options(getattr(hardware, "options", None))
     stated = bench.stated()
     if stated is not None:
+        _expect_defaults(type(hardware), stated)
         _expect_shared(bench, motor, hardware, stated)
         _expect_addresses(bench, motor, hardware, stated)
     motor.enable()
     expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
+
+
+def _expect_defaults(kind: Callable[..., Any], stated: Stated) -> None:
+    """Expect a hardware object that an application makes to have the defaults of a rig's."""
+    for name, one in signature(kind).parameters.items():
+        known = stated.declaration.defaults.get(name, one.default)
+        if one.default not in (one.empty, None) and known is not None:
+            told = f"{name}: {one.default!r} by default in {kind.__name__}, {known!r} in a rig"
+            expect(one.default == known, told)
 
 
 def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: Stated) -> None:
@@ -278,8 +294,26 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
             isinstance(error, UsageError) and repr(value) in f"{error}",
             f"{kind.__name__} with {second} = {value!r}: {error}; expected a UsageError with it",
         )
-    error = failure_of(partial(kind, bench.link, stated.values.get(second), **own))
-    expect(isinstance(error, UsageError), f"a second {kind.__name__} of {motor.name}: {error}")
+    again = _opened_again(bench.link) if Ability.ONE_PROGRAM in bench.abilities else None
+    for link in (bench.link, again):
+        if link is not None:
+            error = failure_of(partial(kind, link, stated.values.get(second), **own))
+            by = "" if link is bench.link else ", by another bus object on its bus"
+            what = f"a second {kind.__name__} of {motor.name}{by}"
+            expect(isinstance(error, UsageError), f"{what}: {error}; expected UsageError")
+            if link is not bench.link:
+                link.shutdown()
+
+
+def _opened_again(link: Any) -> Any:
+    """Return another bus object of python-can on the same bus, or None."""
+    if not all(hasattr(link, name) for name in ("channel", "protocol", "shutdown")):
+        return None
+    is_fd = link.protocol.name != _CLASSICAL
+    try:
+        return type(link)(channel=link.channel, **({"fd": True} if is_fd else {}))
+    except Exception:  # of any kind: its interface needs more, or allows only one
+        return None
 
 
 def _expect_parameters(motor: Any) -> None:
@@ -422,11 +456,13 @@ def model_without_scale_is_refused_or_right(bench: RigProtocol) -> None:
     model = built.model
     bench.true_position(built)  # its scale is that of the whole model
     built.close()
-    for name in _SCALES:
-        if (getattr(model, name) or 0.0) > 0.0:  # a negative one is the direction, too
-            without: dict[str, Any] = {name: None}
+    for names in _SCALES:
+        known = [getattr(model, name) for name in names if getattr(model, name) is not None]
+        if known and min(known) > 0.0:  # a negative one is the direction, too
+            without: dict[str, Any] = dict.fromkeys(names)
             lacking = replace(model, name="incomplete", **without)
-            _expect_refused_or_right(bench, values, lacking, f"a model without {name}")
+            what = f"a model without {', '.join(names)}"
+            _expect_refused_or_right(bench, values, lacking, what)
     other = MotionKind.LINEAR if model.kind is MotionKind.ROTARY else MotionKind.ROTARY
     error = failure_of(lambda: bench.build(values, replace(model, kind=other)).close())
     expect(
@@ -442,7 +478,9 @@ def _expect_refused_or_right(
     try:
         motor = bench.build(values, model)
     except UsageError as error:
-        expect(model.name in f"{error}", f"{what}: {error}; expected the name {model.name}")
+        names = model.name, f"{values.get('name', model.name)}"
+        is_named = any(one in f"{error}" for one in names)
+        expect(is_named, f"{what}: {error}; expected the name {' or '.join(names)}")
         return
     try:
         motor.enable()

@@ -53,6 +53,7 @@ _SHARED = {Ability.SEVERAL_USERS}
 _TOGETHER = {*_SHARED, Ability.ONE_PROGRAM}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
+_BEFORE_CLOSE_S: Final = 0.01
 _LEASE_S = 0.2
 _COURSES: Final = 8
 _EXAMPLES: Final = 8
@@ -457,6 +458,28 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     for operation in (motor.start, motor.enable, motor.reset_fault, motor.disable):
         what = f"{operation.__name__}() returned after close()"
         expect_raises(MotorError, operation, what)
+    if Ability.LOSE in bench.abilities:
+        for other in bench.motors[1:]:
+            _expect_wait_ends(bench, other)
+
+
+def _note_failure(errors: list[MotorError | None], operation: Callable[[], object]) -> None:
+    errors.append(failure_of(operation))
+
+
+def _expect_wait_ends(bench: RigProtocol, motor: Motor) -> None:
+    """Expect close() to end a call of another thread that waits for an answer of the drive."""
+    position_of(bench, motor)
+    motor.position()
+    with bench.lose_answers_of(motor):
+        errors: list[MotorError | None] = []
+        reader = partial(_note_failure, errors, motor.position)
+        party = bench.runtime.spawn("reader", reader)
+        rest_for(bench, _BEFORE_CLOSE_S)
+        motor.close()
+        within_s = bench.facts.lost_s + bench.facts.time_tolerance_s
+        expect(party.join(within_s), f"close() did not end a position() within {within_s:g} s")
+    expect(party.error is None, f"position() while another thread closes: {party.error!r}")
 
 
 @clause(

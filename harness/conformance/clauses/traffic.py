@@ -4,7 +4,7 @@ The bounds on a common start are made of these. The theory is computed here once
 and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 2013 for FIFO queues.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations, product
@@ -14,7 +14,13 @@ from typing import Any, Final, final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
-from motorhil.harness.conformance.clauses.helpers import elapsed_s, expect_raises, long_move, move
+from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
+    expect_raises,
+    long_move,
+    move,
+    rest_for,
+)
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import UsageError
 from motorhil.motorapi.synchronization.bus_load import (
@@ -68,6 +74,7 @@ _REMOTE: Final = 0x4000_0000
 _CLASSICAL: Final = "CAN_20"  # of can.CanProtocol
 _OFTEN: Final = 2.0  # as often as declared: also when something else asks for a frame
 _MORE: Final = 3
+_BEFORE_S: Final = 0.2
 _UNDECLARED_HZ: Final = 50.0  # of a drive that is asked now and then
 
 
@@ -573,18 +580,11 @@ def _expect_straddling() -> None:
         )
 
 
-@clause(
-    "TIME-05",
-    Level.L4,
-    needs={Capability.POSITION_TRAJECTORY},
-    bench={Ability.SETTINGS, Ability.ONE_KIND},
-    source="requirement 5; NodeTraffic, CanDrive.note_frames: the traffic of a motor on its bus",
-)
-def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
-    """The periodic frames of a motor are on its bus as declared: no longer, and no more often."""
-    motor, link = bench.motor, bench.link
-    motor.enable()
-    seen: dict[tuple[int, bool], tuple[int, int]] = {}  # count and longest data
+def _frames_of(
+    bench: RigProtocol, action: Callable[[], None]
+) -> dict[tuple[int, bool], tuple[int, int]]:
+    """Return the frames on the motor's bus meanwhile, by rank and sender: how many, how long."""
+    seen: dict[tuple[int, bool], tuple[int, int]] = {}
 
     def on_frame(frame: bytes, time_ns: int, is_own: bool) -> None:
         word = int.from_bytes(frame[:4], "little")  # as struct can_frame of Linux
@@ -593,12 +593,44 @@ def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
         length = 0 if word & _REMOTE else frame[4]
         seen[rank, is_own] = count + 1, max(longest, length)
 
-    protocol = getattr(getattr(link, "protocol", None), "name", _CLASSICAL)
-    fd = protocol != _CLASSICAL
-    listening = bench.runtime.listen(link, on_frame, fd=fd)
-    begun_ns = bench.runtime.now_ns()
-    move(bench, motor, long_move(bench))
+    protocol = getattr(getattr(bench.link, "protocol", None), "name", _CLASSICAL)
+    listening = bench.runtime.listen(bench.link, on_frame, fd=protocol != _CLASSICAL)
+    action()
     listening.cancel()
+    return seen
+
+
+def _expect_declared(
+    nodes: Sequence[NodeTraffic], new: dict[tuple[int, bool], int], lasted_s: float
+) -> None:
+    """Expect all that drives send by themselves, not as answers, to be declared."""
+    declared = {one.rank for node in nodes for one in (*node.sent, *node.sent_at_sync)}
+    ours = {one.rank for node in nodes for one in (*node.ours, *node.ours_at_sync)}
+    asked = sum(count for (rank, is_own), count in new.items() if is_own and rank not in ours)
+    others = {rank: n for (rank, is_own), n in new.items() if not is_own and rank not in declared}
+    unasked = sum(others.values()) - asked
+    expect(
+        unasked <= _UNDECLARED_HZ * lasted_s,
+        f"{unasked} frames of drives in {lasted_s:g} s are not declared, are no answers, and came"
+        f" only since the motors were enabled: ranks {', '.join(f'{one:X}h' for one in others)}",
+    )
+
+
+@clause(
+    "TIME-05",
+    Level.L4,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SETTINGS, Ability.ONE_KIND},
+    source="requirement 5; NodeTraffic, CanDrive.note_frames: the traffic of a motor on its bus",
+)
+def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
+    """The periodic frames of a motor are as declared: no others, no longer, and no more often."""
+    motor, link = bench.motor, bench.link
+    before = _frames_of(bench, lambda: rest_for(bench, _BEFORE_S))
+    for one in bench.motors:  # the drive of another one may have begun to send since
+        one.enable()
+    begun_ns = bench.runtime.now_ns()
+    seen = _frames_of(bench, lambda: move(bench, motor, long_move(bench)))
     lasted_s = elapsed_s(bench, begun_ns)
     nodes = own_traffic(link)
     often = max((count for count, _ in seen.values()), default=0)
@@ -606,6 +638,9 @@ def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
         bool(nodes) or often <= _UNDECLARED_HZ * lasted_s,
         f"no frame is declared, although one came {often} times in {lasted_s:g} s",
     )
+    if nodes and not any(node.unknown for node in nodes):
+        new = {key: count for key, (count, _) in seen.items() if key not in before}
+        _expect_declared(nodes, new, lasted_s)
     for node in nodes:
         for messages, is_own in ((node.sent, False), (node.ours, True)):
             whose = "the host's" if is_own else "the drive's"

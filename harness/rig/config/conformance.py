@@ -44,6 +44,7 @@ class Capability(Enum):
     COMPLEX_POSITION = "complex position trajectories"
     COMPLEX_VELOCITY = "complex velocity trajectories"
     LIMITED_SET_POINT = "set-points with a velocity limit"
+    LIMITED_JERK = "trajectories with a limit of jerk"
     MEASURED_TORQUE = "torque measurement"
     MEASURED_FOLLOWING_ERROR = "following error measurement"
     HOMING = "homing"
@@ -152,6 +153,11 @@ class ConformanceTable:
     seeking_method: int | None = whole(
         None, -128, 127, "", "Homing method that runs until it is ended; absent: none is known."
     )
+    homing_fails: Mapping[str, object] = setting(
+        {},
+        TablesByKey(_AsTheDrive()),
+        "Settings of the emulated drive with which that method fails; absent: none is known.",
+    )
     home_offset_is_opposite: bool = flag(
         False, "At home the drive's position is +607Ch (as with KEB's F6), not -607Ch."
     )
@@ -163,7 +169,7 @@ class ConformanceTable:
     claims: tuple[str, ...] = setting(
         (),
         Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
-        "Capabilities that the motor cannot claim itself.",
+        "Capabilities that the motor must have, or cannot claim itself.",
     )
     without: Mapping[str, str] = table(
         Declaration(
@@ -213,6 +219,7 @@ class Facts:
         fault_over_value: its value a moment later; None: not needed, the cause is gone by then.
         fault_texts: words in the text of a fault, by error code, that the same stimulus causes.
         seeking_method: a homing method that runs until it is ended; None: none is known.
+        homing_fails: settings of the emulated drive with which that method fails; or none.
         home_offset_is_opposite: True if home is at +607Ch, against CiA 402-2.
         unfit: settings of the emulated drive, each with which the adaptation must refuse it.
         claims: the capabilities claimed by the rig.
@@ -239,6 +246,7 @@ class Facts:
     fault_over_value: float | None = None
     fault_texts: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
     seeking_method: int | None = None
+    homing_fails: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     home_offset_is_opposite: bool = False
     unfit: tuple[Mapping[str, object], ...] = ()
     claims: tuple[Capability, ...] = ()
@@ -290,6 +298,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
             {int(code[:-1], 16): text for code, text in own.fault_texts.items()}
         ),
         seeking_method=own.seeking_method,
+        homing_fails=own.homing_fails,
         home_offset_is_opposite=own.home_offset_is_opposite,
         unfit=own.unfit,
         claims=tuple(claimed),

@@ -253,6 +253,8 @@ class ParameterStore:
             if place == (HALT_OPTION, 0):
                 self.keeps_halt_option = True
                 return
+            if self._objects.upload(*place) == self._own.get(place):
+                del self._own[place]  # the drive keeps it, so that it need not be restored
             value = int.from_bytes(data, "little")
             raise UnsupportedError(
                 motor=motor, feature=f"{_name(place)} = {value} ({error})"

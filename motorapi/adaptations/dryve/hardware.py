@@ -126,6 +126,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
     Attributes:
         velocity_unit: as given.
         homing_failed: whether the drive reports that.
+        is_homing: whether a homing was started, and not stopped since.
 
     Raises:
         UsageError: a hardware object for this drive exists already.
@@ -145,6 +146,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         super().__init__(DryveUnit(line, unit, runtime, self, timeout_s))
         self.velocity_unit: Final = velocity_unit
         self.homing_failed: bool = False
+        self.is_homing: bool = False
         self._is_homed = False
         self._range = (0, 0)  # 607Bh
         self._mode = _PP  # of the prepared motion
@@ -310,6 +312,7 @@ class DryveHwMotor(PolledHardware[DryveUnit]):
         registers.write(_CONTROLWORD, _ENABLE)
         self._wait_a_cycle(self.runtime.now_ns())
         registers.write(_CONTROLWORD, _ENABLE | _START)
+        self.is_homing = True
 
     def _wait_a_cycle(self, since_ns: int) -> None:
         """Let the drive apply what was written."""

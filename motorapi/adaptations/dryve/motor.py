@@ -34,8 +34,16 @@ class DryveMotor(PolledMotor[DryveHwMotor]):
         heard = super()._latest()
         return None if heard is None else heard._replace(following_error=None)
 
+    def _stop(self) -> None:
+        self.hardware.is_homing = False
+        super()._stop()
+
+    def _quick_stop(self) -> None:
+        self.hardware.is_homing = False
+        super()._quick_stop()
+
     def _is_done(self) -> bool:
-        if self.hardware.homing_failed:
+        if self.hardware.homing_failed and self.hardware.is_homing:
             raise PeerError(
                 f"{self.name}: homing failed (statusword bit 13); expected bit 12; check its switch"
                 " and method (6098h), then home() again"

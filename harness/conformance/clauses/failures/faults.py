@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Final
 
@@ -41,6 +41,7 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ControlMode,
     DeadlineExceeded,
@@ -69,6 +70,8 @@ _SPOT_S: Final = 0.5
 _SEARCH_S: Final = 0.4
 _LATE_S: Final = (0.11, 0.21, 0.31)
 _LATE_PLACES: Final = 4
+_FAILS_S: Final = 5.0
+_LOST: Final = 40  # every second answer
 _NO_METHOD = 77  # reserved in CiA 402-2
 
 
@@ -474,7 +477,7 @@ def _wait_until_it_answers(bench: RigProtocol, motor: Motor) -> None:
     source="Motor.wait_until_done: DeadlineExceeded, not within timeout_s",
 )
 def deadline_holds_without_answers(bench: RigProtocol) -> None:
-    """Without answers, a wait ends at its timeout, or before; retries do not add up."""
+    """Without answers, a wait ends at its timeout, or before; with half of them, all is true."""
     motor, way = bench.motor, long_move(bench)
     move(bench, motor, 0.1 * way)
     for timeout_s in (0.0, 0.3):
@@ -496,6 +499,12 @@ def deadline_holds_without_answers(bench: RigProtocol) -> None:
         _wait_until_it_answers(bench, motor)
         motor.stop()
         finish(bench, motor)
+    watch = PositionWatch(bench, motor)
+    with ExitStack() as losses:
+        for lost in range(_LOST):
+            losses.enter_context(bench.lose_answers_of(motor, skip=lost, limit=1))
+        _read_all(motor, watch, "with every second answer lost")
+    _wait_until_it_answers(bench, motor)
 
 
 @clause(
@@ -598,7 +607,7 @@ def _place_of_own_homing(bench: RigProtocol, motor: Motor) -> float | None:
     source="Motor.home: UnsupportedError, the motor does not know the method; timeout_s: stopped",
 )
 def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
-    """Unknown homing methods are refused, and do not move; a search beyond its time is stopped."""
+    """Unknown homing methods are refused, and do not move; one that fails, or lasts, is ended."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     origin = motor.position()
     move(bench, motor, way)
@@ -615,6 +624,23 @@ def unknown_homing_method_is_refused(bench: RigProtocol) -> None:
     method = bench.facts.seeking_method
     if method is not None and Capability.HOMING not in bench.facts.without:
         _expect_search_is_stopped(bench, motor, method)
+        if bench.facts.homing_fails and Ability.SETTINGS in bench.abilities:
+            with suppress(RigError), bench.altered({}, bench.facts.homing_fails):  # if it has them
+                _expect_failure(bench, bench.motor, method)
+
+
+def _expect_failure(bench: RigProtocol, motor: Motor, method: int) -> None:
+    """Expect a homing that fails in the drive to raise by its method, and not to be believed."""
+    motor.enable()
+    error = failure_of(partial(motor.home, method, timeout_s=_FAILS_S))
+    what = f"homing by method {method}, which fails in the drive: {error!r}"
+    expect(isinstance(error, PeerError), f"{what}; expected PeerError")
+    told = getattr(error, "method", method)
+    expect(told == method, f"{what}; expected method {method}, not {told}")
+    expect(not motor.is_referenced(), f"{what}, but the motor is referenced")
+    motor.stop()
+    finish(bench, motor)
+    move_exactly(bench, motor, 0.1 * long_move(bench), what)
 
 
 def _expect_search_is_stopped(bench: RigProtocol, motor: Motor, method: int) -> None:

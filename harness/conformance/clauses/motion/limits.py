@@ -110,6 +110,11 @@ def _expect_of_target(error: LimitError, motor: Motor, before: float, way: float
         f"a move from {before:g} by {way:g} {unit} of {motor.name} was refused as: {error};"
         f" expected the motor, and its target in {unit}",
     )
+    here = 0.0 if "distance" in error.quantity else before
+    little = _SAME * max(1.0, abs(here))
+    low = -inf if error.low is None else error.low
+    high = inf if error.high is None else error.high
+    expect(low - little <= here <= high + little, f"no move at all is outside of it, too: {error}")
 
 
 @clause(

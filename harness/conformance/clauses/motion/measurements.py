@@ -9,6 +9,7 @@ from motorhil.harness.conformance.clause import Level, NotApplicable, clause, ex
 from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, ramp_s
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
+    expect_at,
     expect_moved,
     expect_unmoved,
     failure_of,
@@ -22,15 +23,18 @@ from motorhil.harness.conformance.clauses.helpers import (
     torque_of,
     turn,
 )
+from motorhil.harness.conformance.clauses.motion.setpoints import expect_counts_from_present
 from motorhil.harness.conformance.clauses.tracks import PositionWatch
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
+    ControlMode,
     ControlVariable,
     DerivativeLimits,
     LimitError,
     Motor,
     TrapezoidalTrajectory,
+    UnsupportedError,
     UsageError,
 )
 from motorhil.motorapi.model import MotionKind
@@ -44,8 +48,11 @@ _SETTLED_S = 0.2
 _PUSH = 0.2  # of the largest torque
 _PROMPT_S = 0.02  # a reading that meets the peak after a load
 _READINGS = 40
+_SWITCHES = "switches"
 _BEGIN = "initial_position_rad"
 _OUT_OF_REACH = 1e12  # rad: no counter of 32 bits has it
+_HERE = (37, 35)  # CiA 402-2, 6098h: homing on the spot
+_CROSSED_S = 60.0
 _FAR = 100.0  # long moves: a range of a few turns is that of a message, which does not wrap
 
 
@@ -248,6 +255,8 @@ def position_goes_on_beyond_the_counter(bench: RigProtocol) -> None:
     stated = bench.stated(of_drive=True)
     if stated is None or _BEGIN not in stated.declaration.keys:
         raise NotApplicable(f"the drive cannot begin elsewhere ({_BEGIN})")
+    if _SWITCHES in stated.values:
+        raise NotApplicable("the drive has limit switches, which are nearer")
     if bench.motor.model.kind is not MotionKind.ROTARY:
         raise NotApplicable("the position of a linear motor is not that of its drive in rad")
     kind, found = stated.declaration.keys[_BEGIN].kind, False
@@ -308,3 +317,22 @@ def _expect_across(bench: RigProtocol, end: float, way: float) -> None:
             expect_unmoved(bench, motor, before, f"a move was refused {what}")
             continue
         expect_moved(bench, motor, before, direction * 0.1 * way, what, 2.0)
+        if motor.logical.hooks.supports(ControlMode.SETPOINT, ControlVariable.POSITION):
+            expect_counts_from_present(bench, motor, direction * 0.3 * way)
+    _expect_homed_across(bench, way)
+
+
+def _expect_homed_across(bench: RigProtocol, way: float) -> None:
+    """Check that homing on the spot makes the position 0, beyond the end of the counter, too."""
+    motor, begin = bench.motor, bench.motor.position()
+    turn(motor, copysign(0.3 * motor.model.velocity_max, way))
+    bench.runtime.wait_until(lambda: abs(position_of(bench, motor) - begin) > abs(way), _CROSSED_S)
+    motor.stop()
+    finish(bench, motor)
+    for method in _HERE:
+        try:
+            motor.home(method)
+        except UnsupportedError:
+            continue
+        expect_at(bench, motor, 0.0, "homed on the spot, beyond the end of its counter")
+        return

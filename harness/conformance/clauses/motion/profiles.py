@@ -119,6 +119,9 @@ def velocity_ramp_bends_as_allowed(bench: RigProtocol) -> None:
 def jerk_limit_is_used_or_refused(bench: RigProtocol) -> None:
     """A limit of the third derivative is refused, or used: no faster, no slower than it allows."""
     motor, model = bench.motor, bench.motor.model
+    if Capability.LIMITED_JERK in bench.facts.claims:
+        keeps = motor.logical.hooks.limits_jerk(ControlVariable.POSITION)
+        expect(keeps, "the rig claims limits of jerk, which the motor does not keep")
     gentle = min(model.acceleration_max, model.deceleration)
     jerk = min(2.0 * gentle, model.jerk_max or inf)
     motor.enable()

@@ -32,6 +32,7 @@ from motorhil.motorapi import (
     ControlVariable,
     DerivativeLimits,
     LimitError,
+    Motor,
     MotorState,
     UsageError,
 )
@@ -300,21 +301,26 @@ def setpoint_velocity_is_that_of_model(bench: RigProtocol) -> None:
 )
 def relative_setpoint_in_motion_counts_from_present(bench: RigProtocol) -> None:
     """A relative set-point that replaces another in motion counts from where the motor then is."""
-    motor, long = bench.motor, long_move(bench)
+    long = long_move(bench)
     for way in (long, -long):
-        begin = position_of(bench, motor)
-        aim(motor, way, relative=True)
-        for _ in range(200):
-            rest_for(bench, 0.01 * shortest_s(motor, long))
-            before = position_of(bench, motor)
-            if abs(before - begin) > 0.3 * long:
-                break
-        aim(motor, 0.2 * way, relative=True)
-        after = position_of(bench, motor)
-        finish(bench, motor, shortest_s(motor, long))
-        end = position_of(bench, motor)
-        low, high = sorted((before, after))
-        expect(
-            low - 0.1 * long <= end - 0.2 * way <= high + 0.1 * long,
-            f"{0.2 * way:g} from {before:g} to {after:g}, in motion, ended at {end:g}",
-        )
+        expect_counts_from_present(bench, bench.motor, way)
+
+
+def expect_counts_from_present(bench: RigProtocol, motor: Motor, way: float) -> None:
+    """Expect a fifth of a distance, set in the middle of it, to count from where the motor is."""
+    long, begin = abs(way), position_of(bench, motor)
+    aim(motor, way, relative=True)
+    for _ in range(200):
+        rest_for(bench, 0.01 * shortest_s(motor, long))
+        before = position_of(bench, motor)
+        if abs(before - begin) > 0.3 * long:
+            break
+    aim(motor, 0.2 * way, relative=True)
+    after = position_of(bench, motor)
+    finish(bench, motor, shortest_s(motor, long))
+    end = position_of(bench, motor)
+    low, high = sorted((before, after))
+    expect(
+        low - 0.1 * long <= end - 0.2 * way <= high + 0.1 * long,
+        f"{0.2 * way:g} from {before:g} to {after:g}, in motion, ended at {end:g}",
+    )

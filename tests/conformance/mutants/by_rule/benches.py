@@ -16,7 +16,7 @@ VARIANTS: Final = (
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
     *("position limits in the drive", "no TPDOs", "SI units", "no heartbeat consumer"),
-    *("home offset",),
+    *("home offset", "fixed TPDOs and window, no factors"),
 )
 VARIED: Final = {
     "cia402": (
@@ -118,7 +118,8 @@ def opener(name: str) -> Any:
         return kit_benches.opener(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "rig.toml")
-        path.write_text(variants.text_of(variants.VARIANTS[name.removeprefix(_OF)]))
+        known = variants.VARIANTS | variants.OF_ONE_PROGRAM
+        path.write_text(variants.text_of(known[name.removeprefix(_OF)]))
         described = bench_description(read_rig(path, installed_plugins()), "cia402")
     return lambda: RigBench(described, 1)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import inf
+from pathlib import Path
 
 import pytest
 
@@ -12,10 +13,12 @@ from motorhil.motorapi.adaptations.cia402.parameters import Cia402Parameters
 from motorhil.motorapi.commands import ControlMode
 from motorhil.motorapi.errors import LimitError, UnsupportedError, UsageError
 from motorhil.motorapi.state import MotorState
+from tests.support.checkout import CHECKOUT
 from tests.support.motors.drive_rigs import drive
 from tests.unit.motorapi.adaptations.cia402.test_controlword import written_to_left
 
 OpenRig = Callable[..., Rig]
+OWN_EDS = CHECKOUT / "emulators" / "eds" / "motorhil_cia402.eds"
 INC_PER_RAD = 132_000 / (2 * 3.141592653589793)
 OWN = 66_667  # 60FBh:1 of the emulated drive's default motor, in 1/1000 per s
 
@@ -180,6 +183,19 @@ def test_unstable_gain_is_refused_before_motion(rig: Rig):
     with pytest.raises(UnsupportedError, match="60F6h:1 = 4000000000"):
         move(motor)
     assert rig.controllers["left"].snapshot()["demand_inc"] == 0
+    motor.set_parameters(Cia402Parameters())
+    move(motor, 0.5)
+
+
+def test_parameter_that_the_drive_keeps_is_not_restored(open_rig: OpenRig, tmp_path: Path):
+    text = OWN_EDS.read_text()
+    before, window, after = text.partition("ParameterName=Following error window\n")
+    eds = tmp_path / "fixed_window.eds"
+    eds.write_text(before + window + after.replace("AccessType=rww", "AccessType=ro", 1))
+    motor, _ = two_motors(open_rig(drive("left", 1, f'eds = "{eds}"')))
+    motor.set_parameters(Cia402Parameters(following_error_window=1.0))
+    with pytest.raises(UnsupportedError, match="6065h = "):
+        move(motor)
     motor.set_parameters(Cia402Parameters())
     move(motor, 0.5)
 

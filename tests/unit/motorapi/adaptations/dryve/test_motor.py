@@ -158,6 +158,8 @@ def test_failed_homing_is_an_error():
         motor.enable()
         with pytest.raises(PeerError, match=r"homing failed \(statusword bit 13\)"):
             motor.home(17)
+        motor.stop()  # which ends what has failed
+        motor.wait_until_done(timeout_s=1)
 
 
 def test_homing_method_that_the_drive_lacks_is_unsupported(rig):
