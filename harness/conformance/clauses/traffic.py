@@ -627,8 +627,8 @@ def frames_on_bus_are_as_declared(bench: RigProtocol) -> None:
     """The periodic frames of a motor are as declared: no others, no longer, and no more often."""
     motor, link = bench.motor, bench.link
     before = _frames_of(bench, lambda: rest_for(bench, _BEFORE_S))
-    for one in bench.motors:  # the drive of another one may have begun to send since
-        one.enable()
+    for each in bench.motors:  # the drive of another one may have begun to send since
+        each.enable()
     begun_ns = bench.runtime.now_ns()
     seen = _frames_of(bench, lambda: move(bench, motor, long_move(bench)))
     lasted_s = elapsed_s(bench, begun_ns)
