@@ -190,7 +190,7 @@ def test_refused_setting_raises_rig_error(tmp_path):
     ("old", "new", "told"),
     [
         ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is there twice'),
-        ("[conformance.without]", 'claims = ["dead_man"]\n[conformance.without]', "is claimed at "),
+        ('claims = ["', 'claims = ["dead_man", "', "is claimed at "),
     ],
 )
 def test_contradiction_in_conformance_table_raises_rig_error(old, new, told, tmp_path):
