@@ -85,8 +85,6 @@ NOT_APPLICABLE = {
             *("TRAJ-14", "FAULT-07"),
             *(*_LED, *_OF_CIA402, "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "LOW-04", "SHARE-02", "PROC-14"),
-            *("SYNC-06", "SYNC-11", "LOW-06", *_OF_CANOPEN),
-            *("HEAR-05", "LOW-04", "SHARE-02"),
             *("SYNC-06", "SYNC-11", "LOW-06", "PAR-02", *_OF_CANOPEN),
         }
     ),
@@ -98,7 +96,7 @@ NOT_APPLICABLE = {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
             *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22", "SYNC-23"),  # on one node
             "PROC-16",  # its program holds a motor at rest by commands
-            *("SET-05", "SYNC-05", "PAR-02", "FAULT-09", "MEAS-06"),
+            *("PAR-02", "FAULT-09", "MEAS-06"),
         }
     ),
     "vesc": _SAMPLED - {"LOW-03", "LOST-07"},
@@ -106,7 +104,7 @@ NOT_APPLICABLE = {
 
 
 _WHOLE = "cia402"
-_STRIDE = 3
+_STRIDE = 4
 
 
 def is_daily(kind, clause):
