@@ -61,7 +61,7 @@ NOT_APPLICABLE = {
             *(f"LOST-{number:02}" for number in range(1, 14)),
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
-            *_OF_PROGRAMS,
+            *(*_OF_PROGRAMS, "PROC-15"),
             *("OPT-04", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
         }
     ),
@@ -95,7 +95,7 @@ NOT_APPLICABLE = {
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
             *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22", "SYNC-23"),  # on one node
-            "PROC-16",  # its program holds a motor at rest by commands
+            *("PROC-15", "PROC-16"),  # its program holds a motor at rest by commands
             *("PAR-02", "FAULT-09", "MEAS-06"),
         }
     ),
