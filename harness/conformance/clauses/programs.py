@@ -626,6 +626,15 @@ def _count_start(bench: RigProtocol, motor: Motor, way: float) -> int:
     return messages
 
 
+def _require_quiet(bench: RigProtocol, motor: Motor) -> None:
+    """Raise NotApplicable if the program of this motor commands it at rest, too."""
+    if Ability.TRAFFIC in bench.abilities:
+        with bench.commands_to(motor) as held:
+            rest_for(bench, _LINGER_S)
+        if held:
+            raise NotApplicable("its program commands it at rest, until another one does")
+
+
 def _lose_in_start(
     bench: RigProtocol, motor: Motor, other: Motor, messages: int, what: str
 ) -> None:
@@ -657,13 +666,10 @@ def program_that_lost_motor_in_start_sends_nothing(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     way = 0.2 * long_move(bench)
     first = _count_start(bench, motor, way)
-    if Ability.TRAFFIC in bench.abilities:
-        with bench.commands_to(motor) as held:
-            rest_for(bench, _LINGER_S)
-        if held:
-            raise NotApplicable("its program commands it at rest, until another one does")
+    _require_quiet(bench, motor)
     _leave(bench, motor)
     usual = _count_start(bench, motor, -way)
+    _require_quiet(bench, motor)
     for messages, is_first in ((usual, False), (first, True)):
         for share in _SHARES:
             last = round(share * messages)
