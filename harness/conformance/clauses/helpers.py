@@ -19,6 +19,7 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    MotionInterrupted,
     Motor,
     MotorError,
     MotorGroup,
@@ -175,6 +176,13 @@ def failure_of(*operations: Callable[[], object]) -> MotorError | None:
     except MotorError as error:
         return error
     return None
+
+
+def expect_taken_over(wait: Callable[[], object], what: str) -> None:
+    """Expect the wait for a motion to end because another user took the motor over on demand."""
+    error = failure_of(wait)
+    is_told = isinstance(error, MotionInterrupted) and "on demand" in error.by
+    expect(is_told, f"{what}: the wait ended with {error!r}; expected the takeover")
 
 
 def braking_distance(motor: Motor, velocity: float) -> float:

@@ -18,6 +18,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_moved,
     expect_rest,
+    expect_taken_over,
     expect_unmoved,
     failure_of,
     finish,
@@ -200,11 +201,7 @@ def program_that_lost_motor_sends_nothing(bench: RigProtocol) -> None:
             with _silent(bench, motor, what):
                 rest_for(bench, _WATCHED_S)
             expect_unmoved(bench, motor, before, what)
-            error = failure_of(partial(motor.wait_until_done, _PATIENCE_S))
-            expect(
-                isinstance(error, MotionInterrupted) and "on demand" in error.by,
-                f"{what}: its wait ended with {error!r}; expected the takeover",
-            )
+            expect_taken_over(partial(motor.wait_until_done, _PATIENCE_S), what)
             prepare(motor, 0.1 * way)
             _expect_all_refused(bench, motor, "after a takeover by another program")
             move(bench, other, -0.25 * way)
@@ -523,9 +520,7 @@ def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
         with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
             expect_rest(bench, lost, f"{lost.name} was taken over from its group")
             end = partial(group.wait_until_done, _PATIENCE_S) if place else group.is_done
-            error = failure_of(end)
-            is_told = isinstance(error, MotionInterrupted) and "on demand" in error.by
-            expect(is_told, f"{lost.name} was taken over: the group's wait ended with {error!r}")
+            expect_taken_over(end, f"{lost.name} was taken over from its group")
             rest_for(bench, 1.1 * duration_s)
             made = abs(position_of(bench, left) - before)
             is_stopped = made < 0.9 * abs(way)

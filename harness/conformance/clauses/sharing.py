@@ -16,6 +16,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_raises,
     expect_rest,
     expect_state,
+    expect_taken_over,
     expect_unmoved,
     failure_of,
     finish,
@@ -330,9 +331,8 @@ def takeover_brings_motor_to_rest(bench: RigProtocol) -> None:
     with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
         expect_rest(bench, motor, f"turning without a reservation, taken over by {other.name}")
         move(bench, other, 0.1 * long_move(bench))
-    ended = failure_of(partial(motor.wait_until_done, _PATIENCE_S))
-    is_told = isinstance(ended, MotionInterrupted) and "on demand" in ended.by
-    expect(is_told, f"taken over, and then moved by {other.name}: the wait ended with {ended!r}")
+    what = f"taken over, and then moved by {other.name}"
+    expect_taken_over(partial(motor.wait_until_done, _PATIENCE_S), what)
     with motor.reserve("survey"):
         way = 2.0 * long_move(bench)
         begin_move(bench, motor, way, midway_s(motor, way, 0.3))
