@@ -69,6 +69,9 @@ class Axis:
     `flags` (bits of the flags module) are as of the last `at`, with one exception. A command that
     starts a profile sets PROFILE_ACTIVE and clears the two target windows at once.
 
+    Attributes:
+        gear_ratio: turns of the motor per turn of the plant's output.
+
     Raises:
         ValueError: `current_steps` does not divide the tick, or the gains make the current loop
             unstable.
@@ -95,7 +98,7 @@ class Axis:
         self._clock_rate: Final = clock_rate
         self._torque_n_m_a: Final = plant.torque_constant_n_m_a * plant.gear_ratio
         self._output_rad_inc: Final = 2.0 * PI / (plant.encoder_increments_rev * plant.gear_ratio)
-        self._gear_ratio: Final = plant.gear_ratio
+        self.gear_ratio: Final = plant.gear_ratio
         self._has_extras: Final[bool] = plant.extras.is_any()
         self._load_torque_n_m = plant.load_torque_n_m
         self._current_max_a: Final = plant.current_max_a
@@ -257,8 +260,8 @@ class Axis:
     def output_velocity_rad_s(self) -> float:
         """Return the true output velocity, not quantised [rad/s]."""
         if self._has_extras:
-            return self._extra(nonlinear_servo.E_LOAD_SPEED) / self._gear_ratio
-        return self._time.state[servo.I_SPEED] / self._gear_ratio
+            return self._extra(nonlinear_servo.E_LOAD_SPEED) / self.gear_ratio
+        return self._time.state[servo.I_SPEED] / self.gear_ratio
 
     def load_torque_n_m(self) -> float:
         """Return the load torque at the output, as set [N m]."""
@@ -375,7 +378,7 @@ class Axis:
         if torque_n_m != self._load_torque_n_m:
             self._load_torque_n_m = torque_n_m
             if self._has_extras:
-                self._set_conditions((torque_n_m / self._gear_ratio, *self._conditions[1:]))
+                self._set_conditions((torque_n_m / self.gear_ratio, *self._conditions[1:]))
             else:
                 self._time.set_load(torque_n_m)
 

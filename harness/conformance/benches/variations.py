@@ -11,6 +11,7 @@ from contextlib import suppress
 from itertools import combinations
 from typing import Final
 
+from motorhil.harness.conformance.benches.linear_axes import LINEAR_AXES
 from motorhil.harness.conformance.benches.options import OPTIONS, Change
 from motorhil.harness.conformance.benches.worlds import is_world
 
@@ -123,6 +124,7 @@ _OF_OTHER_MOTORS: Final[Mapping[str, Sequence[Change]]] = {
 
 VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     **_OF_OTHER_MOTORS,
+    **LINEAR_AXES,
     **OPTIONS,
     "reversing gear": [("gear_ratio = 66.0", "gear_ratio = -66.0")],
     "linear axis": _LINEAR,
@@ -182,6 +184,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
 _GENERAL: Final = (
     *("reversing gear", "starts at 5 rad", "fast clock", "slow clock"),
     *_OF_OTHER_MOTORS,
+    *LINEAR_AXES,
     *OPTIONS,
 )
 """Variations that not only rigs with CiA 402 drives can have, if their text has the places."""
@@ -189,6 +192,8 @@ _CONTRADICTORY: Final = (
     {"limited jerk", "linear axis"},
     {"priority queues", "two buses with equal node-IDs"},
     {"slow bus", "quirk slow_sdo"},
+    {"linear axis of the host's servo", "servo options of the host"},
+    {"linear axis of the host's servo", "gains of the host's servo"},
 )
 """Pairs whose texts fit together, but make no rig."""
 _AND: Final = " + "

@@ -15,7 +15,7 @@ from motorhil.emulators.cia401.node import IoNode
 from motorhil.emulators.cia402.drive import Cia402Drive
 from motorhil.emulators.controller import Controller
 from motorhil.emulators.modbus.drive import ModbusDrive
-from motorhil.emulators.plant.dc_motor import MotorPlant
+from motorhil.emulators.motor_drive import MotorDrive
 from motorhil.frozen import frozen
 from motorhil.harness.rig.config.derived import core_of
 from motorhil.harness.rig.config.rig_file import MotorDescription, RigDescription
@@ -135,22 +135,27 @@ def units_per_plant_rad(
         scale = model.gear_ratio
     if model.kind is MotionKind.ROTARY:
         return 1.0 if scale is None else copysign(1.0, scale)
-    plant = _plant_of(motor, core)
-    if model.gear_ratio is None or scale is None or plant is None:
+    gear_ratio = _gear_ratio_of(motor, core)
+    if model.gear_ratio is None or scale is None or gear_ratio is None:
         raise UsageError(
             f"{motor.name}: the true position is not known in m; expected the motor's turns per m"
             " in its model, and a plant with a gear; write motor_turns_per_m into the model"
         )
-    return copysign(plant.gear_ratio / _TURN_RAD / model.gear_ratio, scale)
+    return copysign(gear_ratio / _TURN_RAD / model.gear_ratio, scale)
 
 
-def _plant_of(motor: MotorDescription, core: Controller) -> MotorPlant | None:
-    if isinstance(core, Cia402Drive | ModbusDrive):
-        return core.settings.plant
+def _gear_ratio_of(motor: MotorDescription, core: Controller) -> float | None:
+    """Return the gear ratio of the plant of an emulated drive, or None if it has no plant."""
+    drive = getattr(core, "drive", core)  # behind its gateway
+    if isinstance(drive, Cia402Drive | ModbusDrive):
+        return drive.settings.plant.gear_ratio
+    if isinstance(core, MotorDrive):
+        return core.axis.gear_ratio
     if isinstance(core, IoNode):
         channel = motor.settings.get("channel", 1)
         assert isinstance(channel, int)
-        return core.settings.channels[channel - 1].plant
+        plant = core.settings.channels[channel - 1].plant
+        return None if plant is None else plant.gear_ratio
     return None
 
 

@@ -58,6 +58,8 @@ from motorhil.motorapi import (
 _NOTICED_S = 0.3
 _SOON_S = 0.05
 _BACK_S = 1.0
+_COASTS_S: Final = 1.0
+"""The time in which a motor without power comes to rest, as far as clauses need it [s]."""
 _SLOW: Final = 3.0
 _PLACES: Final = 12
 _LENGTHS_S: Final = (0.3, 0.02)
@@ -115,6 +117,7 @@ def fault_during_motion_ends_wait(bench: RigProtocol) -> None:
     )
     _expect_fault(motor, code)
     _raised("the second wait", lambda: finish(bench, motor))
+    rest_for(bench, _COASTS_S)
     motor.reset_fault()
     begin_move(bench, motor, -way, 0.2 * shortest_s(motor, way))
     bench.fail(motor)
@@ -172,7 +175,7 @@ def reset_fault_clears_fault_without_motion(bench: RigProtocol) -> None:
         follow(motor, TrapezoidalTrajectory(way))
         rest_for(bench, 0.5 * shortest_s(motor, way))
         bench.fail(motor)
-        rest_for(bench, 1.0)
+        rest_for(bench, _COASTS_S)
         held = position_of(bench, motor)
         motor.reset_fault()
         fault = motor.fault()

@@ -27,20 +27,25 @@ VARIED: Final = {
     "dryve": (
         "dryve options + dryve drive options + velocities in rpm",
         "dryve awaited for longer",
+        "linear axis of a dryve",
     ),
     "dynamixel": ("servo options + servo drive options",),
     "ideal": ("ideal motor begins at 0.3 rad + ideal motor with limited jerk",),
     "leadshine": (
         "Leadshine over TCP + Leadshine options + Leadshine drive options",
         "Leadshine awaited for longer",
+        "linear axis of a Leadshine drive",
     ),
     "mit": ("impedance options + impedance drive options + other ranges",),
-    "moteus": ("moteus options + moteus drive options",),
-    "oriental_az": ("AZ over TCP + AZ options + AZ drive options",),
+    "moteus": ("moteus options + moteus drive options", "linear axis of a moteus"),
+    "oriental_az": ("AZ over TCP + AZ options + AZ drive options", "linear axis of an AZ drive"),
     "rmd": ("RMD options + RMD drive options",),
     "robstride": ("RobStride options + other ranges of a RobStride",),
-    "software": ("servo options of the host + gains of the host's servo", "amplifier options"),
-    "vesc": ("VESC options + VESC drive options",),
+    "software": (
+        *("servo options of the host + gains of the host's servo", "amplifier options"),
+        "linear axis of the host's servo",
+    ),
+    "vesc": ("VESC options + VESC drive options", "linear axis of a VESC"),
 }
 """Further variations of the kit, by kind: those of options, and pairs of others."""
 _FEW: Final = (
