@@ -25,6 +25,7 @@ from motorhil.motorapi import (
     MotorBusyError,
     MotorError,
     MotorModel,
+    MotorPosition,
     PluginError,
     Setpoint,
     StateError,
@@ -358,6 +359,8 @@ def invalid_values_are_refused_at_once(_: RigProtocol) -> None:
         arguments: dict[str, Any] = {"final": 1.0, "limits": _PAIR, **values}
         made = partial(TrapezoidalTrajectory, **arguments)
         expect_raises(UsageError, made, f"a trajectory with {values} was accepted")
+    untyped: Any = "left"
+    expect_raises(UsageError, partial(MotorPosition, untyped), "the text left as a motor")
     bare = TrapezoidalTrajectory(3.5, limits=_PAIR, final_derivatives=(-3.0, 5.0))
     for one, wanted in ((_WHOLE, (False, 3.0, 0.0, 5.0)), (bare, (True, 0.0, -3.0, None))):
         found = (one.is_relative, one.initial_velocity, one.final_velocity, one.final_argument)

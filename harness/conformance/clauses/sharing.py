@@ -56,6 +56,7 @@ _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
 _BEFORE_CLOSE_S: Final = 0.01
 _LEASE_S = 0.2
+_LOW_LEVEL: Final = "low-level access"
 _COURSES: Final = 8
 _EXAMPLES: Final = 8
 _STEPS: Final = 15
@@ -412,10 +413,9 @@ def _expect_last_readings(other: Motor) -> None:
 def _expect_all_refused(bench: RigProtocol, other: Motor) -> None:
     take_over = other.reserve("rescue", take_over=True).__enter__
     for operation in (other.start, other.stop, other.enable, other.disable, other.home, take_over):
-        expect(
-            _refusal_of(operation) is not None,
-            f"{operation.__name__}() of {other.name} accepted",
-        )
+        what, refusal = f"{operation.__name__}() of {other.name}", _refusal_of(operation)
+        expect(refusal is not None, f"{what} accepted")
+        expect(_LOW_LEVEL in str(refusal), f"{what}: {refusal}; expected that of {_LOW_LEVEL}")
         rest_for(bench, 0.02)
 
 

@@ -109,8 +109,17 @@ DataType=0x0008
 AccessType=ro
 DefaultValue=1.5
 PDOMapping=1
+
+[2003]
+ParameterName=Serial number of the gear
+ObjectType=0x7
+DataType=0x0016
+AccessType=ro
+DefaultValue=0x123456
+PDOMapping=1
 """
-_BITS: Final = (
+_CHANGED: Final = (
+    ("DefaultValue=motorhil CiA 402 drive", "DefaultValue=motorhil CiA 402 axis"),  # 3 segments
     ("Dummy0001=0", "Dummy0001=1"),
     ("Granularity=8", "Granularity=1"),
     ("DefaultValue=0x60610008", "DefaultValue=0x60610010"),  # 6061h in two bytes of TPDO 2
@@ -232,7 +241,7 @@ DRIVES: dict[str, str] = {
         "switches = { index_pulse = false }"
     ),
     "modes untold": f'eds = "{_eds("modes untold", without=("6071", "6502"))}"',
-    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_BITS)}"',
+    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_CHANGED)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}\n[conformance]\nfault_code = 0x4310",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
@@ -282,7 +291,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
         *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05"),
     ),
     "modes untold": ("OD-05",),
-    "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09"),
+    "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09", "SDO-01"),
     "no error behaviour": ("NMT-04", "PP-01"),
     "legal quirks": (*_OF_QUIRKS, *_QUEUED),
     **{

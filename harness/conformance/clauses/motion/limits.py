@@ -227,6 +227,7 @@ def _start_value(motor: Motor, value: float) -> None:
 def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
     """Every mode either works, or is refused with the list of supported modes."""
     motor = bench.motor
+    untyped: Any = motor
     motor.enable()
     for variable in ControlVariable:
         for mode in ControlMode:
@@ -242,6 +243,8 @@ def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
             value = 0.05 * _usual(bench, variable)
             try:
                 if mode is ControlMode.SETPOINT:
+                    wrong = partial(untyped.set_setpoint, value, limits=1.0)
+                    expect_raises(UsageError, wrong, f"{asked} with limits = 1.0 was accepted")
                     motor.set_setpoint(value, relative=variable is ControlVariable.POSITION)
                 else:
                     motor.set_trajectory(TrapezoidalTrajectory(value, duration_s=1.0))

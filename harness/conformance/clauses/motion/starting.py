@@ -47,7 +47,7 @@ from motorhil.motorapi import (
     UnsupportedError,
     UsageError,
 )
-from motorhil.motorapi.outcome import Ending, Outcome
+from motorhil.motorapi.outcome import Ending, Outcome, Progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -427,11 +427,14 @@ def on_done_is_called_once(bench: RigProtocol) -> None:
     expect_raises(UsageError, lambda: untyped.on_done(1), "on_done(1) was accepted")
     expect_raises(UsageError, lambda: untyped.set_control_mode("position"), "a text as a mode")
     motor.on_done(lambda outcome: calls.append((bench.runtime.now_ns(), outcome)))
+    cancelled: list[Outcome] = []
+    motor.on_done(cancelled.append).cancel()
     expect(not calls, "the end was notified at the start")
     finish(bench, motor, shortest_s(motor, way))
     done_ns = bench.runtime.now_ns()
     rest_for(bench, bench.facts.time_tolerance_s)
     _expect_one_call(calls, Ending.DONE, done_ns, bench.facts.time_tolerance_s)
+    expect(not cancelled, f"the end was notified after cancel() of on_done(): {cancelled}")
     calls.clear()
     follow(motor, TrapezoidalTrajectory(way))
     motor.on_done(lambda outcome: calls.append((bench.runtime.now_ns(), outcome)))
@@ -519,6 +522,13 @@ def progress_grows_to_one_then_ends(bench: RigProtocol) -> None:
     finish(bench, motor)
 
 
+def _expect_both_places(progress: Progress) -> None:
+    """Check that the text of progress names its position and its target."""
+    if progress.position is not None and progress.target is not None:
+        places = f"at {progress.position:g} on the way to {progress.target:g}"
+        expect(places in repr(progress), f"progress is shown as {progress!r}; expected {places}")
+
+
 def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
     expected_s = shortest_s(motor, way)
     start = motor.position()
@@ -530,6 +540,7 @@ def _expect_progress(bench: RigProtocol, motor: Motor, way: float) -> None:
         if progress is not None:
             since_s = elapsed_s(bench, begun_ns)
             seen.append((since_s, progress))
+            _expect_both_places(progress)
         rest_for(bench, 0.1 * expected_s)
         expect(len(seen) < 30, "the motion does not end")
     expect(motor.progress() is None, "progress() after the end of the motion; expected None")

@@ -25,6 +25,11 @@ _TOO_LONG: Final = 0x0604_0042
 _VALUE: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0604_0043, 0x0800_0000, _UNSUPPORTED)
 _PDO_BITS: Final = 64
 _TPDO: Final = Entry(0x1800, 1, "I", "COB-ID")
+_OF_INVALID: Final = (
+    Entry(0x1800, 3, "H", "inhibit time"),
+    Entry(0x1800, 6, "B", "SYNC start value"),
+)
+"""What is changed only while the TPDO is invalid, of what a drive need not have."""
 _BOOLEAN: Final = 0x0001
 _BIT: Final = 0x0001_0001  # a dummy of one bit
 _BITS: Final = 4
@@ -75,11 +80,12 @@ def mapping_procedure(bench: DriveBench) -> None:
         _refused(drive, parameter, cob_id ^ 1, _VALUE, "while it is valid")
         _refused(drive, count, 0, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
         _refused(drive, entry, mapped.mapped, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
-        inhibit = Entry(first, 3, "H", "inhibit time")
-        kept = drive.find(inhibit) if first == 0x1800 else None
-        if kept is not None:
-            _refused(drive, inhibit, kept + 1, (_UNSUPPORTED, *_VALUE), "while the PDO is valid")
-            drive.write(inhibit, kept)
+        for fixed in _OF_INVALID if first == 0x1800 else ():
+            kept = drive.find(fixed)
+            if kept is not None:
+                codes, why = (_UNSUPPORTED, *_VALUE), "while the PDO is valid"
+                _refused(drive, fixed, kept + 1, codes, why)
+                drive.write(fixed, kept)
         for wrong in (241, 251):
             _refused(drive, kind, wrong, _VALUE, "a reserved type")
         if first == 0x1400:
