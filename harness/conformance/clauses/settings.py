@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from inspect import signature
-from itertools import product
+from itertools import product, zip_longest
 from math import inf, isfinite, nan, nextafter
 from typing import Any, Final
 
@@ -19,9 +19,14 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_raises,
     expect_state,
     failure_of,
+    finish,
     long_move,
     move_exactly,
     position_of,
+    rest_for,
+    speed,
+    torque_of,
+    turn,
 )
 from motorhil.harness.conformance.clauses.motion.measurements import (
     expect_true_torque,
@@ -59,6 +64,9 @@ _SCALES: Final = (
 )
 """Facts of a model that a motor may need, each with what a model derives from it."""
 _SPEED: Final = 0.5  # of the model's velocity
+_DAMPING: Final = "kd_n_m_s_rad"
+_DAMPING_SHARE: Final = 0.25
+_LOADED: Final = 0.2  # of the largest torque
 _HERE: Final = 35  # CiA 402-2, 6098h
 _SETTLED_S: Final = 0.5
 _UP: Final = 1.25
@@ -443,6 +451,37 @@ def _expect_true(bench: RigProtocol, what: str) -> None:
 
 
 @clause(
+    "OPT-22",
+    Level.L0,
+    needs={Capability.VELOCITY_SET_POINT},
+    bench={Ability.SETTINGS, Ability.TRUTH, Ability.LOAD},
+    source="settings of the motor: damping in N·m·s/rad, at the output",
+)
+def stated_damping_is_true(bench: RigProtocol) -> None:
+    """At a velocity set-point, a load changes the velocity by itself over the stated damping."""
+    stated, motor = _stated(bench), bench.motor
+    name = stated.declaration.names(motor.model.unit).get(_DAMPING)
+    if name is None:
+        raise NotApplicable(f"the motor has no setting {_DAMPING}")
+    damping: Any = stated.values.get(_DAMPING, stated.declaration.defaults.get(name))
+    torque, found = torque_of(motor, _LOADED), []
+    turn(motor, _SPEED * motor.model.velocity_max)
+    for load in (-torque, torque):
+        bench.load(motor, load)
+        rest_for(bench, _SETTLED_S)
+        found.append(speed(bench, motor, _SETTLED_S))
+    bench.load(motor, 0.0)
+    motor.stop()
+    finish(bench, motor)
+    true = 2.0 * torque / (found[0] - found[1])
+    expect(
+        abs(true - damping) <= _DAMPING_SHARE * damping,
+        f"{_DAMPING} = {damping:g}: loads of {torque:g} N·m either way made velocities of"
+        f" {found[0]:g} and {found[1]:g} rad/s, which is a damping of {true:g}",
+    )
+
+
+@clause(
     "MODEL-03",
     Level.L0,
     needs={Capability.POSITION_TRAJECTORY},
@@ -504,7 +543,7 @@ def unfit_drive_is_refused(bench: RigProtocol) -> None:
     """A drive that the adaptation cannot control is refused before anything else, and not moved."""
     if not bench.facts.unfit:
         raise NotApplicable("the rig states no drive that does not fit ([conformance] unfit)")
-    for settings in bench.facts.unfit:
+    for settings, words in zip_longest(bench.facts.unfit, bench.facts.unfit_texts, fillvalue=""):
         with bench.altered({}, settings):
             motor = bench.motor
             told = ", ".join(f"{key} = {shown(value)}" for key, value in settings.items())
@@ -515,3 +554,4 @@ def unfit_drive_is_refused(bench: RigProtocol) -> None:
                     not isinstance(error, DeviceFault | DeadlineExceeded),
                     f"a drive with {told}: {type(error).__name__}: {error}; expected its refusal",
                 )
+                expect(words in f"{error}", f"a drive with {told}: {error}; expected {words!r}")
