@@ -493,7 +493,7 @@ def failing_function(inner: "Function", problem: str) -> "tuple[Function, Callab
             return inner.value(argument)
 
         def _values(self, arguments: "FloatArray") -> "FloatArray":
-            return inner.values(arguments)
+            return inner(arguments)
 
         def _derivative(self, order: int) -> Function:
             return inner.derivative(order)

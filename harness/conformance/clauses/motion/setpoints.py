@@ -159,8 +159,8 @@ def velocity_beyond_numbers_of_drive_is_not_done(bench: RigProtocol) -> None:
     asked = 2.0**32 * unit + 0.2 * model.velocity_max
     motor = bench.build(stated.values, replace(model, velocity_max=2.0 * asked))
     try:
-        motor.enable()
         for velocity in (asked, -asked):
+            motor.enable()
             begin = partial(turn, motor, velocity)
             error = failure_of(begin, partial(motor.wait_until_done, _WRAPPED_S))
             expect(error is not None, f"a velocity of {velocity:g} per s was reported as reached")
@@ -168,8 +168,8 @@ def velocity_beyond_numbers_of_drive_is_not_done(bench: RigProtocol) -> None:
                 made, least = speed(bench, motor, _SLIP_S), 0.5 * model.velocity_max
                 is_fast = made >= least if velocity > 0.0 else made <= -least
                 expect(is_fast, f"a velocity of {velocity:g} per s was accepted, and made {made:g}")
-            motor.stop()
-            finish(bench, motor)
+            failure_of(motor.stop, partial(finish, bench, motor))  # it may fail to follow, too
+            motor.reset_fault()
     finally:
         motor.close()
 
