@@ -8,7 +8,7 @@ set-point until its own watchdog ends it: what that means is the drive's to tell
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from motorhil.motorapi.errors import MotorError
+from motorhil.motorapi.errors import MotorError, PluginError
 from motorhil.motorapi.synchronization.quality import MotionTimes
 
 if TYPE_CHECKING:
@@ -108,9 +108,15 @@ class SetpointStream:
         try:
             self._send(min((now_ns - self._began_ns) / 1e9, self._duration_s))
         except MotorError as error:
-            self.error = error
-            self.cancel()
-            self._drive.news.grow()
+            self._fail(error)
+        except Exception as error:  # of a user's function
+            kind, problem = type(error).__name__, str(error)
+            self._fail(PluginError(plugin=kind, where="sampling a trajectory", problem=problem))
+
+    def _fail(self, error: MotorError) -> None:
+        self.error = error
+        self.cancel()
+        self._drive.news.grow()
 
     def _send(self, at_s: float) -> "SentFrame":
         self.last = self._value(at_s)

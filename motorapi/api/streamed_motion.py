@@ -6,6 +6,7 @@ the shortest trapezoid, another variable along a ramp, and a trajectory as it is
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from motorhil.motorapi.api.setpoint_stream import SendSetpoint, SetpointStream
@@ -159,11 +160,18 @@ class StreamedMotion:
     def demand(self) -> tuple[float, float, float]:
         """Return the demand of `variable` now, and two derivatives.
 
-        After an error that is the last set-point, which the drive keeps.
+        After an error that is the last set-point, which the drive keeps; also if a user's function
+        fails now, since the next set-point reports it.
         """
         stream = self._stream
-        if stream is not None and stream.error is not None and stream.last is not None:
-            return stream.last, 0.0, 0.0
+        if stream is None or stream.last is None:
+            return self._planned()
+        if stream.error is None:
+            with suppress(Exception):
+                return self._planned()
+        return stream.last, 0.0, 0.0
+
+    def _planned(self) -> tuple[float, float, float]:
         at_s = min(self._elapsed_s(), self._course.duration_s)
         return self._course.value(at_s), *self._rates(at_s)
 

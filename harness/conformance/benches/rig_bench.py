@@ -70,7 +70,7 @@ _STOPS: Final = {  # commands of another program: by SDO to 6040h, halt; by the 
 _SDO_REQUEST: Final = 0x600  # + node-ID
 _STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by frames of the vendors
     "mit": lambda node: pack(node, bytes.fromhex("FF FF FF FF FF FF FF FD")),  # leave motor mode
-    "robstride": lambda node: pack(EFF_FLAG | 0x0400_FD00 | node, bytes(8)),  # stop
+    "robstride": lambda node: pack(EFF_FLAG | 0x0400_4200 | node, bytes(8)),  # stop
     "rmd": lambda node: pack(0x140 + node, b"\x81" + bytes(7)),  # motor stop
     "vesc": lambda node: pack(EFF_FLAG | 0x0300 | node, bytes(4)),  # a speed of 0
     "moteus": lambda node: pack_fd(node, b"\1\0\0", BRS),  # mode 0, stopped

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from hypothesis import settings
 
     from motorhil.motorapi.functions import Function
+    from motorhil.motorapi.functions.base import FloatArray
 
 SAMPLE_S: Final = 0.005
 FINE_S: Final = 0.001
@@ -142,6 +143,15 @@ def drive(motor: Motor, variable: ControlVariable, value: float) -> None:
 def turn(motor: Motor, velocity: float) -> None:
     """Start a velocity set-point [U/s]."""
     drive(motor, ControlVariable.VELOCITY, velocity)
+
+
+def coast(bench: RigProtocol, motor: Motor) -> None:
+    """Wait until a motor without current rests by its friction (Ability.TRUTH)."""
+    for _ in range(100):
+        before = bench.true_position(motor)
+        rest_for(bench, 0.1)
+        if abs(bench.true_position(motor) - before) <= 0.01 * bench.facts.window:
+            return
 
 
 def elapsed_s(bench: RigProtocol, since_ns: int) -> float:
@@ -462,6 +472,42 @@ def cubic_step(way: float, time_s: float) -> "Function":
 
     cubic = Polynomial((0.0, 0.0, 3.0 * way / time_s**2, -2.0 * way / time_s**3))
     return cubic.restricted(0.0, time_s)
+
+
+def failing_function(inner: "Function", problem: str) -> "tuple[Function, Callable[[], None]]":
+    """Return `inner` as a function of an application, and what makes it raise from then on."""
+    from motorhil.motorapi.functions import Function
+
+    calls: list[bool] = []
+
+    class Failing(Function):
+        """A function of an application, with a defect that shows late."""
+
+        @property
+        def domain(self) -> tuple[float, float]:
+            return inner.domain
+
+        def value(self, argument: float) -> float:
+            if calls:
+                raise ValueError(problem)
+            return inner.value(argument)
+
+        def _values(self, arguments: "FloatArray") -> "FloatArray":
+            return inner(arguments)
+
+        def _derivative(self, order: int) -> Function:
+            return inner.derivative(order)
+
+        def integral(self) -> Function:
+            return inner.integral()
+
+        def _bounds(self, low: float, high: float) -> tuple[float, float]:
+            return inner.bounds(low, high)
+
+        def _parameters(self) -> tuple[object, ...]:
+            return (inner,)
+
+    return Failing(), lambda: calls.append(True)
 
 
 def until_rest_s(bench: RigProtocol, motor: Motor) -> float:

@@ -9,6 +9,7 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
     expect_at,
     expect_moved,
     expect_raises,
@@ -45,6 +46,8 @@ _BACK_S: Final = 1.0
 _SLOW: Final = 3.0
 _PATIENCE_S: Final = 10.0
 _LOOK_S: Final = 0.2
+_LOST: Final = 3  # answers; a silence that is borne
+_ADDRESSES: Final = (0xFFFE, 0xF0F0)
 _DEVICE_TYPE, _IDENTITY, _HEARTBEAT = 0x1000, 0x1018, 0x1017  # CiA 301
 _TPDO, _MAPPED = 0x1803, 0x1A03  # CiA 301, TPDO 4: its communication, and mapped objects
 _INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
@@ -231,6 +234,112 @@ def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -
         expect(made < 0.9 * way, f"{what} in {trajectory!r}: it made {made:g} {unit}")
         motor.stop()
         finish(bench, motor)
+
+
+@clause(
+    "LOW-23",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    bench={Ability.LOSE},
+    source="the hardware object: timing statistics of its servo, also in words",
+)
+def statistics_are_right_in_words(bench: RigProtocol) -> None:
+    """Timing statistics of a hardware object have all their numbers in words, in their units."""
+    motor, way = bench.motor, 0.2 * long_move(bench)
+    for lost in (0, _LOST):
+        follow(motor, TrapezoidalTrajectory(way))
+        rest_for(bench, 0.3 * shortest_s(motor, way))
+        with bench.lose_answers_of(motor, limit=lost) if lost else nullcontext():
+            finish(bench, motor)
+        motor.disable()
+        with motor.low_level() as hardware:
+            told: Any = _simple(hardware, "report")()
+        text, missed = f"{told}", getattr(told, "missed", 0)
+        if not hasattr(told, "period_s"):
+            raise NotApplicable(f"the statistics have no period: {text}")
+        wanted = [f"{told.period_s * 1e3:g} ms", f"{told.cycles} cycles"]
+        wanted.append(f"{told.counts_missed} counts missed" if missed else "none missed")
+        for words in wanted:
+            expect(words in text, f"statistics {told!r} are shown as {text!r}; expected {words!r}")
+
+
+@clause(
+    "LOW-24",
+    Level.L2,
+    needs={Capability.LOW_LEVEL},
+    source="MODBUS Application Protocol, section 7: exceptions; errors carry their facts in words",
+)
+def refused_register_is_named(bench: RigProtocol) -> None:
+    """If a drive refuses to read a register, the error has its address, and the unit."""
+    motor = bench.motor
+    motor.position()
+    with motor.low_level() as found:
+        registers: Any = getattr(found, "registers", None)
+        read = getattr(registers, "read", None)
+        if read is None or next(iter(signature(read).parameters)) != "address":
+            raise NotApplicable("the hardware object has no registers by address")
+        refused = 0
+        for address in _ADDRESSES:
+            error = failure_of(partial(read, address, 1))
+            if isinstance(error, PeerError):
+                refused += 1
+                words = f"{address:04X}h", f"{address}"
+                is_told = any(one in f"{error}" for one in words)
+                is_told &= f"unit {registers.unit}" in f"{error}"
+                expect(is_told, f"{error}; expected the unit, and {' or '.join(words)}")
+        if not refused:
+            raise NotApplicable("the drive refuses no register")
+    motor.position()
+
+
+@clause(
+    "LOW-21",
+    Level.L2,
+    needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
+    bench={Ability.SECOND_MOTOR, Ability.TRAFFIC},
+    source="requirement 2: no other part of the interface will have any effect",
+)
+def low_level_access_is_not_disturbed_by_neighbour(bench: RigProtocol) -> None:
+    """In low-level access, nothing is sent to the drive, even if others enable another motor."""
+    motor, neighbour = bench.motors[:2]
+    for one in (motor, neighbour):
+        move(bench, one, 0.1 * long_move(bench))
+        one.disable()
+    with motor.low_level():
+        rest_for(bench, _LOOK_S)
+        with bench.commands_to(motor) as sent:
+            errors: list[MotorError | None] = []
+            enable = partial(failure_of, neighbour.enable)
+            party = bench.runtime.spawn("neighbour", lambda: errors.append(enable()))
+            expect(party.join(_PATIENCE_S) and party.error is None, f"{party.error!r}")
+            rest_for(bench, _LOOK_S)
+        (error,) = errors
+        what = f"another thread enabled {neighbour.name} in low-level access of {motor.name}"
+        expect(error is None or isinstance(error, MotorBusyError), f"{what}: {error!r}")
+        commands = ", ".join(sorted(set(sent)))
+        expect(not sent, f"{what}, and its drive was sent {commands} (result: {error})")
+    move(bench, neighbour, 0.1 * long_move(bench))
+
+
+@clause(
+    "LOW-22",
+    Level.L2,
+    needs={Capability.LOW_LEVEL},
+    source="Motor.low_level: StateError; errors: what to do is in the message",
+)
+def low_level_access_is_refused_at_once(bench: RigProtocol) -> None:
+    """Low-level access of a motor that is held is granted, or refused at once, until disabled."""
+    motor = bench.motor
+    motor.enable()
+    begun_ns = bench.runtime.now_ns()
+    error = failure_of(partial(_open_and_close, motor))
+    took_s, most_s = elapsed_s(bench, begun_ns), 0.5 * bench.facts.time_tolerance_s
+    if error is None:
+        return
+    expect(isinstance(error, StateError), f"low_level() of a motor that is held: {error!r}")
+    expect(took_s <= most_s, f"refused after {took_s:g} s; limit {most_s:g} s: {error}")
+    motor.disable()
+    _open_and_close(motor)
 
 
 @clause(

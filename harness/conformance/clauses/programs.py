@@ -150,6 +150,32 @@ def program_leaves_motor_of_other_program_alone(bench: RigProtocol) -> None:
 
 
 @clause(
+    "PROC-21",
+    Level.L3,
+    needs=_MOVES,
+    bench={*_TWO, Ability.SECOND_MOTOR},
+    source="paper 3.5, one physical motor object for any motor; Sharing and locking",
+)
+def other_program_leaves_neighbour_alone(bench: RigProtocol) -> None:
+    """Whatever another program does with one motor, the motion of another motor goes on."""
+    bench.apart()
+    motor, neighbour = bench.motor, bench.another_user_of(bench.motors[1])
+    way, duration_s = long_move(bench), _SLOW * shortest_s(bench.motor, long_move(bench))
+    neighbour.position()
+    before = position_of(bench, motor)
+    prepare(motor, way, duration_s)
+    motor.start()
+    for operation in (Motor.enable, Motor.reset_fault, Motor.disable, Motor.stop):
+        rest_for(bench, 0.1 * duration_s)
+        what = f"{operation.__name__}() of {neighbour.name} by another program"
+        error = failure_of(partial(operation, neighbour))
+        expect(error is None or isinstance(error, MotorBusyError), f"{what}: {error}")
+    finish(bench, motor, duration_s)
+    expect_moved(bench, motor, before, way, f"another program used {neighbour.name} meanwhile")
+    _leave(bench, motor)
+
+
+@clause(
     "PROC-15",
     Level.L3,
     needs=_MOVES,

@@ -19,9 +19,16 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_raises,
     expect_state,
     failure_of,
+    finish,
+    follow,
     long_move,
     move_exactly,
     position_of,
+    rest_for,
+    shortest_s,
+    speed,
+    torque_of,
+    turn,
 )
 from motorhil.harness.conformance.clauses.motion.measurements import (
     expect_true_torque,
@@ -38,6 +45,7 @@ from motorhil.motorapi import (
     MotorError,
     MotorModel,
     MotorState,
+    TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
 )
@@ -59,6 +67,13 @@ _SCALES: Final = (
 )
 """Facts of a model that a motor may need, each with what a model derives from it."""
 _SPEED: Final = 0.5  # of the model's velocity
+_DAMPING: Final = "kd_n_m_s_rad"
+_DAMPING_SHARE: Final = 0.25
+_LOADED: Final = 0.2  # of the largest torque
+_SUMMED: Final = 0.35  # of a long move
+_SAMPLE_S: Final = 0.01
+_AFTER_S: Final = 0.1
+_EXACT: Final = 0.012
 _HERE: Final = 35  # CiA 402-2, 6098h
 _SETTLED_S: Final = 0.5
 _UP: Final = 1.25
@@ -396,7 +411,7 @@ def common_settings_fit_for_each_value(bench: RigProtocol) -> None:
         found = True
         with bench.altered({key: value}, {of_drive: value}):
             what = f"{key} = {shown(value)} on both sides"
-            _expect_true(bench, what)
+            _expect_true(bench, what, isinstance(value, str))
     if not found:
         raise NotApplicable("motor and drive have no setting in common")
 
@@ -419,7 +434,7 @@ def _common(motor: Stated, drive: Stated) -> Iterator[tuple[str, str, object]]:
                 yield key, other, another
 
 
-def _expect_true(bench: RigProtocol, what: str) -> None:
+def _expect_true(bench: RigProtocol, what: str, is_word: bool) -> None:
     """Expect positions, velocities and torques of the motor to be those of its output."""
     motor, way = bench.motor, 0.2 * long_move(bench)
     try:
@@ -427,7 +442,10 @@ def _expect_true(bench: RigProtocol, what: str) -> None:
         before = position_of(bench, motor)
         move_exactly(bench, motor, way, what)
         expect_moved(bench, motor, before, way, what)
-        expect_true_velocity(bench, _SPEED * motor.model.velocity_max)
+        if is_word:  # of a list, in which one scale may be a little wrong
+            _expect_velocities_sum_up(bench)
+        else:
+            expect_true_velocity(bench, _SPEED * motor.model.velocity_max)
         with suppress(UnsupportedError):
             motor.home(_HERE)
             here = motor.position()
@@ -440,6 +458,87 @@ def _expect_true(bench: RigProtocol, what: str) -> None:
         return  # the model of the motor is too much for this one
     except Violated as violated:
         raise Violated(f"{what}: {violated}") from None
+
+
+@clause(
+    "OPT-23",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="requirement 1: the facts of hardware are settings; its maker's range of addresses",
+)
+def addresses_end_where_those_of_drive_do(bench: RigProtocol) -> None:
+    """The largest address that the motor takes is one that its drive can have."""
+    motor, drive = _stated(bench), bench.stated(of_drive=True)
+    if drive is None:
+        raise NotApplicable("the drive declares no settings")
+    common = [
+        key
+        for key in ADDRESS_KEYS
+        if key in motor.declaration.keys and key in drive.declaration.keys
+    ]
+    if not common:
+        raise NotApplicable("the motor and its drive have no address in common")
+    for key in common:
+        own, its = motor.declaration.keys[key].kind, drive.declaration.keys[key].kind
+        if isinstance(own, Number) and isinstance(its, Number):
+            expect(
+                own.high <= its.high,
+                f"{key}: up to {own.high:g} for the motor, and {its.high:g} for its drive",
+            )
+
+
+@clause(
+    "OPT-22",
+    Level.L0,
+    needs={Capability.VELOCITY_SET_POINT},
+    bench={Ability.SETTINGS, Ability.TRUTH, Ability.LOAD},
+    source="settings of the motor: damping in N·m·s/rad, at the output",
+)
+def stated_damping_is_true(bench: RigProtocol) -> None:
+    """At a velocity set-point, a load changes the velocity by itself over the stated damping."""
+    stated, motor = _stated(bench), bench.motor
+    name = stated.declaration.names(motor.model.unit).get(_DAMPING)
+    if name is None:
+        raise NotApplicable(f"the motor has no setting {_DAMPING}")
+    damping: Any = stated.values.get(_DAMPING, stated.declaration.defaults.get(name))
+    torque, found = torque_of(motor, _LOADED), []
+    turn(motor, _SPEED * motor.model.velocity_max)
+    for load in (-torque, torque):
+        bench.load(motor, load)
+        rest_for(bench, _SETTLED_S)
+        found.append(speed(bench, motor, _SETTLED_S))
+    bench.load(motor, 0.0)
+    motor.stop()
+    finish(bench, motor)
+    true = 2.0 * torque / (found[0] - found[1])
+    expect(
+        abs(true - damping) <= _DAMPING_SHARE * damping,
+        f"{_DAMPING} = {damping:g}: loads of {torque:g} N·m either way made velocities of"
+        f" {found[0]:g} and {found[1]:g} rad/s, which is a damping of {true:g}",
+    )
+
+
+def _expect_velocities_sum_up(bench: RigProtocol) -> None:
+    """Expect the sum of measured velocities to be the distance: their scale is exactly right.
+
+    One that is rounded to one side is too large in one direction, and too small in the other.
+    """
+    shares = []
+    for way in (_SUMMED * long_move(bench), -_SUMMED * long_move(bench)):
+        motor, before = bench.motor, position_of(bench, bench.motor)
+        made = last = 0.0
+        follow(motor, TrapezoidalTrajectory(way))
+        at_ns = bench.runtime.now_ns()
+        end_ns = at_ns + round((shortest_s(motor, way) + _AFTER_S) * 1e9)
+        while at_ns < end_ns:
+            rest_for(bench, _SAMPLE_S)
+            velocity, now_ns = motor.velocity(), bench.runtime.now_ns()
+            made += 0.5 * (velocity + last) * (now_ns - at_ns) / 1e9
+            last, at_ns = velocity, now_ns
+        finish(bench, motor)
+        shares.append(made / (position_of(bench, motor) - before))
+    share = 0.5 * sum(shares)
+    expect(abs(share - 1.0) <= _EXACT, f"measured velocities sum up to {share:.2%} of the distance")
 
 
 @clause(
@@ -504,7 +603,8 @@ def unfit_drive_is_refused(bench: RigProtocol) -> None:
     """A drive that the adaptation cannot control is refused before anything else, and not moved."""
     if not bench.facts.unfit:
         raise NotApplicable("the rig states no drive that does not fit ([conformance] unfit)")
-    for settings in bench.facts.unfit:
+    for number, settings in enumerate(bench.facts.unfit):
+        words = "".join(bench.facts.unfit_texts[number : number + 1])
         with bench.altered({}, settings):
             motor = bench.motor
             told = ", ".join(f"{key} = {shown(value)}" for key, value in settings.items())
@@ -515,3 +615,4 @@ def unfit_drive_is_refused(bench: RigProtocol) -> None:
                     not isinstance(error, DeviceFault | DeadlineExceeded),
                     f"a drive with {told}: {type(error).__name__}: {error}; expected its refusal",
                 )
+                expect(words in f"{error}", f"a drive with {told}: {error}; expected {words!r}")

@@ -1,5 +1,6 @@
 """L3: logical motors that share a physical motor: ownership, refusals, random sequences."""
 
+import gc
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -50,6 +51,7 @@ from motorhil.motorapi import (
 from motorhil.motorapi.outcome import Ending, Outcome
 
 _WATCHED_S = 0.2
+_INTERFACE: Final = "motorhil.motorapi."
 _SHARED = {Ability.SEVERAL_USERS}
 _TOGETHER = {*_SHARED, Ability.ONE_PROGRAM}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -523,6 +525,34 @@ def closed_motor_can_be_opened_again(bench: RigProtocol) -> None:
 def _expect_cut_short(motor: Motor, what: str) -> None:
     error = failure_of(partial(motor.wait_until_done, 1.0))
     expect(error is not None, f"{what}: the wait returned as if it were done")
+
+
+@clause(
+    "CLOSE-21",
+    Level.L3,
+    bench={Ability.SOLE_USER, Ability.ONE_PROGRAM},
+    source="Device.close: releases the device; motorapi.bus_context: what is kept for one bus",
+)
+def last_closed_motor_leaves_its_bus(bench: RigProtocol) -> None:
+    """Once all motors on a bus or line are closed, nothing of them uses it any more."""
+    for motor in bench.motors:
+        motor.position()
+    kept = [one for one in gc.get_objects() if _is_used_in(one, bench.runtime)]
+    for motor in bench.motors:
+        motor.close()
+    names = sorted({type(one).__name__ for one in kept if one.users})
+    expect(not names, f"all motors are closed, but still in use: {', '.join(names)}")
+
+
+def _is_used_in(one: Any, runtime: object) -> bool:
+    """Return whether an object of the interface counts its users, and is of this runtime."""
+    kind = type(one)
+    if not kind.__module__.startswith(_INTERFACE) or not isinstance(
+        getattr(one, "users", None), int
+    ):
+        return False
+    link = getattr(one, "link", one)
+    return getattr(link, "runtime", None) is runtime and one.users > 0
 
 
 @clause(

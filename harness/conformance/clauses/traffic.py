@@ -5,6 +5,7 @@ and without any shortcut: Davis, Burns, Bril & Lukkien 2007, and Davis et al. 20
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations, product
@@ -13,7 +14,7 @@ from random import Random
 from typing import Any, Final, final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, clause, expect
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_raises,
@@ -21,7 +22,9 @@ from motorhil.harness.conformance.clauses.helpers import (
     move,
     rest_for,
 )
+from motorhil.harness.rig.config.buses import ADDRESS_KEYS
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import UsageError
 from motorhil.motorapi.synchronization.bus_load import (
     FD_LENGTHS,
@@ -68,6 +71,7 @@ _FD_NOMINAL: Final = (17, 36)  # up to BRS
 _FD_STUFF: Final = (3, 8)  # stuff bits that can come before BRS
 _ROUNDING_S: Final = 1e-12
 _NEAR_S: Final = 2e-9
+_HOST: Final = "host_"  # begins the names of numbers of the host
 _IDENTIFIER: Final = 0x1FFF_FFFF
 _EXTENDED: Final = 0x8000_0000
 _REMOTE: Final = 0x4000_0000
@@ -598,6 +602,39 @@ def _frames_of(
     action()
     listening.cancel()
     return seen
+
+
+@clause(
+    "TIME-21",
+    Level.L4,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.SETTINGS, Ability.ONE_KIND},
+    source="ISO 11898-1, arbitration: one sender of an identifier; OPT-01",
+)
+def identifiers_have_one_sender(bench: RigProtocol) -> None:
+    """No identifier has two senders; a number of the host with which one had two is refused."""
+    stated = bench.stated()
+    if stated is None:
+        raise NotApplicable("the adaptation declares no settings")
+    _expect_one_sender(bench, "as it is")
+    address = next((stated.values[key] for key in ADDRESS_KEYS if key in stated.values), None)
+    for key in stated.declaration.names(bench.motor.model.unit):
+        if key.startswith(_HOST) and isinstance(address, int):
+            with suppress(RigError), bench.altered({key: address}, {}):
+                _expect_one_sender(bench, f"with {key} = {address}, the address of the drive")
+
+
+def _expect_one_sender(bench: RigProtocol, what: str) -> None:
+    """Expect a move without identifiers that both the host and a drive send, or its refusal."""
+    motor = bench.motor
+    try:
+        motor.enable()
+    except UsageError:
+        return
+    seen = _frames_of(bench, lambda: move(bench, motor, 0.2 * long_move(bench)))
+    both = [rank for rank, is_own in seen if is_own and (rank, False) in seen]
+    ranks = ", ".join(f"{one:X}h" for one in both)
+    expect(not both, f"{what}: frames of one identifier from host and drive, of ranks {ranks}")
 
 
 def _expect_declared(

@@ -13,6 +13,7 @@ from motorhil.frozen import frozen
 from motorhil.harness.rig.config.toml import Table
 from motorhil.settings import (
     Declaration,
+    Flag,
     Items,
     Key,
     KeyPath,
@@ -166,6 +167,17 @@ class ConformanceTable:
         Items(TablesByKey(_AsTheDrive()), shown="[{ firmware_major = 5 }]"),
         "Settings of the emulated drive, each with which the adaptation must refuse it.",
     )
+    unfit_texts: tuple[str, ...] = setting(
+        (),
+        Items(Text(), unique=False, shown='["firmware 5"]'),
+        "Words in the refusal of each of them, in their order.",
+    )
+    absolute_encoder: bool | None = setting(
+        None,
+        Flag(),
+        "Whether the position is that of the model from power-on, without homing;"
+        " absent: not known.",
+    )
     claims: tuple[str, ...] = setting(
         (),
         Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
@@ -222,6 +234,8 @@ class Facts:
         homing_fails: settings of the emulated drive with which that method fails; or none.
         home_offset_is_opposite: True if home is at +607Ch, against CiA 402-2.
         unfit: settings of the emulated drive, each with which the adaptation must refuse it.
+        unfit_texts: words in the refusal of each of them, in their order; fewer: not known.
+        absolute_encoder: whether the motor is referenced without homing; None: not known.
         claims: the capabilities claimed by the rig.
         claimed_at: where the rig claims them, "file:line".
         without: the capabilities that are not claimed, and why.
@@ -249,6 +263,8 @@ class Facts:
     homing_fails: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     home_offset_is_opposite: bool = False
     unfit: tuple[Mapping[str, object], ...] = ()
+    unfit_texts: tuple[str, ...] = ()
+    absolute_encoder: bool | None = None
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -301,6 +317,8 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         homing_fails=own.homing_fails,
         home_offset_is_opposite=own.home_offset_is_opposite,
         unfit=own.unfit,
+        unfit_texts=own.unfit_texts,
+        absolute_encoder=own.absolute_encoder,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=MappingProxyType({_BY_KEY[name]: why for name, why in own.without.items()}),

@@ -347,6 +347,9 @@ class DynamixelHwMotor(PolledHardware[DynamixelUnit]):
         quick = model.acceleration_max * self._rates(model)[1]
         self._quick_ramp = max(ramp, self._down(quick))
         if counts is None:
+            most = -_REGISTER_MAX, _REGISTER_MAX
+            reason = "the range of the servo's goal velocity"
+            require_within(self.label, "velocity", speed, most, "drive units", reason)
             self.prepared = _GOAL_VELOCITY, _bytes(speed, ramp)
             return
         limits = -_EXTENDED_MAX - CENTRE, _EXTENDED_MAX - CENTRE

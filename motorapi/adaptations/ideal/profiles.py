@@ -7,6 +7,7 @@ cannot be predicted, it is also sampled at a fixed rate.
 U is the motor's unit of position: rad, or m if linear.
 """
 
+from collections.abc import Callable
 from math import inf
 from typing import Final, NamedTuple, Protocol, final
 
@@ -162,7 +163,22 @@ class Followed(_Law):
         self._way = way_of(motion) if motion.variable is ControlVariable.VELOCITY else None
 
     def at(self, now_ns: int) -> Reading:
-        """Return the demand, and its derivative or integral, at `now_ns`."""
+        """Return the demand, and its derivative or integral; rest if a user's function fails."""
+        try:
+            return self._reading(now_ns)
+        except Exception:  # the next sample reports it
+            return Reading(self.place)
+
+    def look(self, now_ns: int) -> None:
+        """Sample a user's function, which may fail.
+
+        Raises:
+            MotorError: it failed.
+        """
+        if self._motion.function is not None:
+            self.place = _place_of(self._reading, now_ns)
+
+    def _reading(self, now_ns: int) -> Reading:
         demand = self._demand
         argument = demand.initial_argument + self._elapsed_s(now_ns)
         is_over = self._is_over(now_ns)
@@ -226,14 +242,8 @@ class Led:
         if self._final is not None:
             return
         then_ns, before, _, _ = self._look
-        try:
-            argument = value_of(self._argument)
-            self.place = self._reading(now_ns, argument).position
-        except MotorError:
-            raise
-        except Exception as error:  # an error of a user's function
-            what = type(error).__name__
-            raise PluginError(plugin=what, where="a trajectory", problem=str(error)) from error
+        argument = value_of(self._argument)
+        self.place = _place_of(lambda at_ns: self._reading(at_ns, argument), now_ns)
         rate = (argument - before) / (now_ns - then_ns) * 1e9
         self._look = (now_ns, argument, rate, self.place)  # atomically: other threads read it
         if argument >= self._demand.final_argument:
@@ -250,6 +260,21 @@ class Led:
             mean = 0.5 * (demand.value(before) + value)
             return Reading(place + mean * (now_ns - then_ns) / 1e9, value)
         return Reading(place, 0.0, value * self._constant)
+
+
+def _place_of(reading: Callable[[int], Reading], now_ns: int) -> float:
+    """Return the position of this reading.
+
+    Raises:
+        MotorError: the argument, or a function of a user, failed.
+    """
+    try:
+        return reading(now_ns).position
+    except MotorError:
+        raise
+    except Exception as error:
+        what = type(error).__name__
+        raise PluginError(plugin=what, where="a trajectory", problem=str(error)) from error
 
 
 def course_of(motion: Motion, now: Reading, now_ns: int, torque_constant: float) -> Course:

@@ -49,6 +49,7 @@ from motorhil.motorapi import (
 )
 
 _BACK_S = 1.0
+_HEARD = ("last heard", "since")
 _EXAMPLES = 10
 _FRAMES = 14  # a start, and a few frames after it
 _BOTH = (True, False)
@@ -218,6 +219,23 @@ def command_to_lost_drive_is_never_executed_later(bench: RigProtocol) -> None:
             expect(error is not None, "cable cut, but a move was reported done")
     rest_for(bench, _BACK_S)
     expect_unmoved(bench, motor, before, "after a failed move, with the cable back")
+
+
+@clause(
+    "LOST-21",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.CUT},
+    source="errors: DeadlineExceeded, what was heard last; LinkError, since when",
+)
+def error_of_lost_drive_tells_what_was_heard(bench: RigProtocol) -> None:
+    """The error of a position that a lost drive does not tell says since when, or what it heard."""
+    motor = bench.motor
+    move(bench, motor, 0.1 * long_move(bench))
+    with bench.cut(motor):
+        rest_for(bench, 2.0 * bench.facts.lost_s)
+        told = f"{failure_of(motor.position)}"
+    expect(any(one in told for one in _HEARD), f"the cable is cut: {told}; expected what was heard")
 
 
 @clause(

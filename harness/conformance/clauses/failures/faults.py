@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
 from typing import Final
 
@@ -74,6 +74,7 @@ _LATE_S: Final = (0.11, 0.21, 0.31)
 _LATE_PLACES: Final = 4
 _FAILS_S: Final = 5.0
 _LOST: Final = 40  # every second answer
+_TURNED: Final = 4.0  # long moves: more than half a turn of some motors
 _NO_METHOD = 77  # reserved in CiA 402-2
 
 
@@ -713,6 +714,54 @@ def lost_motor_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
         bench.motor.reset_fault()
 
     _expect_true_reference(bench, "a loss", lose)
+
+
+@clause(
+    "HOME-21",
+    Level.L2,
+    source="Motor.is_referenced: position 0 is that of the model; [conformance] absolute_encoder",
+)
+def motor_is_referenced_at_first_if_absolute(bench: RigProtocol) -> None:
+    """Before any homing, a motor is referenced if its encoder is absolute, and only then."""
+    wanted, motor = bench.facts.absolute_encoder, bench.motor
+    if wanted is None:
+        raise NotApplicable("the rig does not state it ([conformance] absolute_encoder)")
+    motor.position()
+    found = motor.is_referenced()
+    expect(found is wanted, f"before any homing, is_referenced() is {found}; expected {wanted}")
+
+
+@clause(
+    "HOME-22",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH, Ability.RESTART, Ability.LOSE, Ability.AFRESH},
+    source="Motor.position: measured position; errors, LinkError: the drive was lost",
+)
+def unseen_restart_is_as_a_seen_one(bench: RigProtocol) -> None:
+    """After a restart of its drive that the host could not hear, a position is as if it had."""
+    found = []
+    for is_seen in (True, False):
+        bench.afresh()
+        motor = bench.motor
+        move(bench, motor, _TURNED * long_move(bench))
+        with nullcontext() if is_seen else bench.lose_answers_of(motor):
+            bench.restart(motor)
+            rest_for(bench, until_rest_s(bench, motor) + bench.facts.lost_s)
+            motor.state()  # a host that only asks when asked to notices the loss now
+        rest_for(bench, _BACK_S)
+        for operation in (motor.reset_fault, motor.enable):  # one of them sets the drive up again
+            failure_of(operation)
+        try:
+            found.append(motor.position() - bench.true_position(motor))
+        except LinkError as error:
+            raise NotApplicable(f"after a restart, no position is told: {error}") from None
+    seen, unseen = found
+    expect(
+        abs(seen - unseen) <= 2.0 * bench.facts.window,
+        f"after a restart, position() was off by {seen:g} {motor.model.unit} if the host heard the"
+        f" drive meanwhile, and by {unseen:g} {motor.model.unit} if not",
+    )
 
 
 def _expect_true_reference(bench: RigProtocol, trouble: str, suffer: Callable[[], object]) -> None:

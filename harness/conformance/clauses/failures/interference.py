@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     follow,
     is_over_soon,
     long_move,
+    move,
     pair_of,
     position_of,
     reached,
@@ -193,6 +194,30 @@ def motion_stopped_by_another_program_is_not_done(bench: RigProtocol) -> None:
         expect_rest(bench, motor, f"{what} stopped by another program")
         expect_usable(bench, motor, f"after {what} stopped by another program")
         way = -way
+
+
+@clause(
+    "OTHER-21",
+    Level.L5,
+    needs={Capability.POSITION_TRAJECTORY, Capability.FAULTS},
+    bench={Ability.OTHER_PROGRAM, Ability.FAULT},
+    source="Motor.fault: what this drive says is wrong; DeviceFault",
+)
+def fault_is_seen_beside_another_program(bench: RigProtocol) -> None:
+    """If another program commands a drive that has a fault, it is still reported, unless reset."""
+    motor = bench.motor
+    move(bench, motor, 0.1 * long_move(bench))
+    code = bench.fail(motor)
+    bench.stop_from_elsewhere(motor)
+    rest_for(bench, bench.facts.lost_s + bench.facts.time_tolerance_s)
+    fault, what = motor.fault(), "of a drive that another program commands"
+    if fault is not None:
+        expect(fault.code == code, f"fault {code:X}h {what}: fault() is {fault}")
+        expect_state(motor, MotorState.FAULT, f"fault {code:X}h {what}")
+    else:  # a command has reset it
+        error = failure_of(motor.enable)
+        expect(error is None, f"fault {code:X}h {what}: fault() is None, but enable(): {error}")
+    expect_usable(bench, motor, "after a fault")
 
 
 @clause(

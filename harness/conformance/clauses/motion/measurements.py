@@ -8,6 +8,7 @@ from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, ramp_s
 from motorhil.harness.conformance.clauses.helpers import (
+    coast,
     elapsed_s,
     expect_at,
     expect_moved,
@@ -32,7 +33,6 @@ from motorhil.motorapi import (
     ControlVariable,
     DerivativeLimits,
     LimitError,
-    Motor,
     TrapezoidalTrajectory,
     UnsupportedError,
     UsageError,
@@ -222,7 +222,7 @@ def pushed_motor_reports_its_place(bench: RigProtocol) -> None:
             rest_for(bench, 0.02)
             watch.read(f"disabled, pushed by {torque:g}")
         bench.load(motor, 0.0)
-        _coast(bench, motor)
+        coast(bench, motor)
         watch.read("pushed, at rest again")
         watch.end(10.0 * bench.facts.window)
         held = bench.true_position(motor)
@@ -232,15 +232,6 @@ def pushed_motor_reports_its_place(bench: RigProtocol) -> None:
         way = 0.1 * long_move(bench)
         move_exactly(bench, motor, way, "moved after it was pushed")
         expect_moved(bench, motor, held, way, "moved after it was pushed", 2.0)
-
-
-def _coast(bench: RigProtocol, motor: Motor) -> None:
-    """Wait until the motor rests by its friction."""
-    for _ in range(100):
-        before = bench.true_position(motor)
-        rest_for(bench, 0.1)
-        if abs(bench.true_position(motor) - before) <= 0.01 * bench.facts.window:
-            return
 
 
 @clause(

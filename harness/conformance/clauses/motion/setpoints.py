@@ -1,5 +1,6 @@
 """L1: set-points of all control variables."""
 
+from dataclasses import replace
 from functools import partial
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -30,6 +31,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
+    DeadlineExceeded,
     DerivativeLimits,
     LimitError,
     Motor,
@@ -42,6 +44,14 @@ _PUSH_S = 0.25
 _SLOWEST = 5e-5  # of the model's velocity
 _CREPT = 0.05
 _CREEP_S = 6.0
+_SLOW_SHARE = 5e-4  # of the model's velocity
+_SLIP_S = 0.3
+_PUSHED = 0.3  # of the largest torque
+_WRAPPED_S = 1.0
+_LIGHT = 0.1  # of the largest torque
+_READINGS = 10
+_READ_S = 0.01
+_TORQUE_SHARE = 0.3
 
 
 @clause(
@@ -99,6 +109,92 @@ def velocity_setpoint_is_reached_and_kept(bench: RigProtocol) -> None:
             expect_speed(bench, motor, asked, 0.3, when)
         motor.stop()
         finish(bench, motor)
+
+
+@clause(
+    "SET-21",
+    Level.L1,
+    needs={Capability.VELOCITY_SET_POINT},
+    bench={Ability.TRUTH, Ability.LOAD},
+    source="paper 3.3, Figure 4; Motor.set_setpoint: UsageError, the hardware cannot make it",
+)
+def slow_velocity_is_controlled_or_refused(bench: RigProtocol) -> None:
+    """A very small velocity set-point is refused, or a load slips the motor as at a larger one."""
+    motor, slips = bench.motor, []
+    for share in (0.3, _SLOW_SHARE):
+        asked = share * motor.model.velocity_max
+        try:
+            turn(motor, asked)
+        except UsageError:
+            return
+        rest_for(bench, _SLIP_S)
+        bench.load(motor, torque_of(motor, _PUSHED))
+        slipped = asked - speed(bench, motor, _SLIP_S)
+        bench.load(motor, 0.0)
+        slips.append(abs(slipped))
+        motor.stop()
+        finish(bench, motor)
+    usual, slow = slips
+    most = 2.0 * usual + 2.0 * bench.facts.window / _SLIP_S
+    expect(
+        slow <= most,
+        f"a velocity of {_SLOW_SHARE * motor.model.velocity_max:g} per s was accepted, but a load"
+        f" of {_PUSHED:.0%} changed it by {slow:g}; expected at most {most:g}, as at a larger one",
+    )
+
+
+@clause(
+    "SET-22",
+    Level.L1,
+    needs={Capability.VELOCITY_SET_POINT},
+    bench={Ability.SETTINGS, Ability.TRUTH},
+    source="LimitError: the drive would clip; Motor.wait_until_done: done when reached",
+)
+def velocity_beyond_numbers_of_drive_is_not_done(bench: RigProtocol) -> None:
+    """A velocity that no number of a drive has is refused, or nothing smaller is made of it."""
+    stated = bench.stated()
+    model, unit = bench.motor.model, bench.motor.model.velocity_unit
+    if stated is None or unit is None:
+        raise NotApplicable("the settings, or the model's unit of velocity, are not known")
+    asked = 2.0**32 * unit + 0.2 * model.velocity_max
+    motor = bench.build(stated.values, replace(model, velocity_max=2.0 * asked))
+    try:
+        for velocity in (asked, -asked):
+            motor.enable()
+            begin = partial(turn, motor, velocity)
+            error = failure_of(begin, partial(motor.wait_until_done, _WRAPPED_S))
+            expect(error is not None, f"a velocity of {velocity:g} per s was reported as reached")
+            if isinstance(error, DeadlineExceeded):
+                made, least = speed(bench, motor, _SLIP_S), 0.5 * model.velocity_max
+                is_fast = made >= least if velocity > 0.0 else made <= -least
+                expect(is_fast, f"a velocity of {velocity:g} per s was accepted, and made {made:g}")
+            failure_of(motor.stop, partial(finish, bench, motor))  # it may fail to follow, too
+            motor.reset_fault()
+    finally:
+        motor.close()
+
+
+@clause(
+    "SET-23",
+    Level.L1,
+    needs={Capability.TORQUE_SET_POINT, Capability.MEASURED_TORQUE},
+    source="paper 3.3, Figure 4; Motor.torque: measured torque [N·m], or force [N]",
+)
+def torque_set_point_is_measured(bench: RigProtocol) -> None:
+    """During a torque set-point, the measured torque is that of the set-point."""
+    motor, unit = bench.motor, bench.motor.model.unit_of(ControlVariable.TORQUE)
+    for share in (_LIGHT, -_LIGHT):
+        asked, found = torque_of(motor, share), 0.0
+        drive(motor, ControlVariable.TORQUE, asked)
+        for _ in range(_READINGS):
+            rest_for(bench, _READ_S)
+            found += motor.torque() / _READINGS
+        motor.stop()
+        finish(bench, motor)
+        expect(
+            abs(found - asked) <= _TORQUE_SHARE * abs(asked),
+            f"a torque set-point of {asked:g} {unit}: {found:g} {unit} measured",
+        )
 
 
 @clause(

@@ -12,6 +12,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     aim,
     begin_move,
     braking_distance,
+    coast,
     expect_at,
     expect_raises,
     expect_rest,
@@ -54,6 +55,33 @@ _SPARE: Final = 0.15  # of a move
 _AFTER_S: Final = 0.3
 _LOOK_S: Final = 0.02
 _GENTLE: Final = 0.2  # of the limits
+
+
+@clause(
+    "STOP-21",
+    Level.L2,
+    needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
+    bench={Ability.TRUTH},
+    source="Motor.stop: at the deceleration of the motion; Motor.disable: the motor coasts",
+)
+def stop_at_rest_moves_nothing(bench: RigProtocol) -> None:
+    """A stop at rest moves nothing, also of a motor that was switched off in its last motion."""
+    motor, way, window = bench.motor, long_move(bench), bench.facts.window
+    for sign in (1.0, -1.0):
+        begin_move(bench, motor, sign * way, 0.5 * shortest_s(motor, way))
+        motor.disable()
+        coast(bench, motor)
+        held = bench.true_position(motor)
+        motor.enable()
+        aim(motor, 0.0, relative=True)
+        motor.stop()
+        finish(bench, motor)
+        moved = abs(bench.true_position(motor) - held)
+        expect(
+            moved <= 2.0 * window,
+            "switched off in a motion, enabled at rest, and stopped in a set-point of 0: it moved"
+            f" by {moved:g} {motor.model.unit}",
+        )
 
 
 def _stop_halfway(

@@ -20,6 +20,7 @@ from motorhil.harness.conformance.clauses.demands import (
     trapezoid,
 )
 from motorhil.harness.conformance.clauses.helpers import (
+    cubic_step,
     elapsed_s,
     expect_at,
     expect_moved,
@@ -27,6 +28,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_speed,
     expect_tracks,
+    failing_function,
     failure_of,
     finish,
     follow,
@@ -68,6 +70,7 @@ _LOOK_S = 0.007
 _SWEEP_S = 0.5
 _STREAM_S = 0.02  # between set-points, at most
 _FAILS_S = 0.5
+_PROBLEM = "a gear without teeth"
 _LED_S = 2.0
 _FEW_S = 0.02  # a few samples
 
@@ -609,6 +612,40 @@ def failing_argument_ends_the_motion(bench: RigProtocol) -> None:
         motor.stop()
         finish(bench, motor)
         expect_rest(bench, motor, "after its argument failed")
+
+
+@clause(
+    "TRAJ-21",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    source="paper 3.3.1, complex trajectories; errors: PluginError; Motor.wait_until_done",
+)
+def failing_function_ends_the_motion(bench: RigProtocol) -> None:
+    """If the function of a trajectory fails in a motion, so does the motion; the motor holds."""
+    motor, way = bench.motor, long_move(bench)
+    duration_s = 2.0 * shortest_s(motor, way)
+    motor.enable()
+    for sign in (1.0, -1.0):
+        before = position_of(bench, motor)
+        function, fail = failing_function(cubic_step(sign * way, duration_s), _PROBLEM)
+        follow(motor, ComplexTrajectory(function, relative=True))
+        rest_for(bench, 0.4 * duration_s)
+        fail()
+        try:
+            finish(bench, motor, duration_s)
+        except PluginError as error:
+            expect(_PROBLEM in f"{error}", f"a function failed with {_PROBLEM!r}: {error}")
+        else:  # it was evaluated before
+            expect_moved(bench, motor, before, sign * way, "a function failed after its last use")
+            continue
+        rest_for(bench, motor.model.velocity_max / motor.model.deceleration + _AFTER_S)
+        expect_rest(bench, motor, "after its function failed")
+        with suppress(UnsupportedError):
+            off, most = motor.following_error(), 1.5 * bench.facts.window
+            what = f"after its function failed: {off:g} {motor.model.unit} off its demand, at rest"
+            expect(abs(off) <= most, f"{what}; expected at most {most:g} {motor.model.unit}")
+        motor.stop()
+        finish(bench, motor)
 
 
 class _Sweep:

@@ -3,6 +3,7 @@
 import pytest
 
 from motorhil import Rig
+from motorhil.harness.conformance.clauses.helpers import failing_function
 from motorhil.harness.rig.config.rig_file import parse_rig
 from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.reading import installed_plugins
@@ -13,6 +14,7 @@ from motorhil.motorapi import (
     DerivativeLimits,
     LimitError,
     MotorPosition,
+    PluginError,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
@@ -51,6 +53,20 @@ def test_piecewise_function_is_followed_by_the_plant(rig):
         assert where(rig) - before == pytest.approx(COURSE.value(at_s), abs=FOLLOWING)
     motor.wait_until_done(timeout_s=2)
     assert where(rig) == pytest.approx(before, abs=0.01)
+
+
+def test_function_that_fails_ends_the_motion_only(rig):
+    motor = rig.motors["left"]
+    function, fail = failing_function(COURSE, "a gear without teeth")
+    motor.set_control_mode(ControlMode.TRAJECTORY)
+    motor.set_trajectory(ComplexTrajectory(function, relative=True))
+    motor.start()
+    rig.runtime.run_for(0.5)
+    fail()  # the runtime must not fail with it, nor a handler of the drive's answers
+    with pytest.raises(PluginError, match="ValueError: sampling a trajectory: a gear without"):
+        motor.wait_until_done(timeout_s=3)
+    rig.runtime.run_for(1.0)
+    assert abs(where(rig) - 0.25) < 0.1  # half of the way
 
 
 def test_trajectory_with_limited_jerk_takes_longer(rig):

@@ -173,6 +173,17 @@ def test_velocity_mode_runs_and_stops():
         assert abs(left.velocity()) < 0.06
 
 
+def test_velocity_beyond_the_register_is_refused():
+    text = TEXT.replace('adaptation = "dynamixel"', 'adaptation = "dynamixel"\nmode = "velocity"')
+    with opened(text.replace("velocity_max_rad_s = 6.0", "velocity_max_rad_s = 1e6")) as rig:
+        left = rig.motors["left"]
+        left.enable()
+        left.set_control_mode(ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        left.set_setpoint(0.9e6)  # 3.75e7 steps; the register has 15 bits and a sign
+        with pytest.raises(LimitError, match=r"velocity 900000 rad/s, .* 785\.374 rad/s"):
+            left.start()
+
+
 def test_errors_that_come_together_are_all_told(rig):
     rig.motors["left"].enable()
     rig.controllers["left"].stimulate("fault", 0x24)  # register 70: bits 2 and 5

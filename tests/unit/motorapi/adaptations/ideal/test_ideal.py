@@ -2,11 +2,13 @@
 
 import pytest
 
+from motorhil.harness.conformance.clauses.helpers import failing_function
 from motorhil.motorapi import (
     ComplexTrajectory,
     DerivativeLimits,
     LinkError,
     MotorPosition,
+    PluginError,
     TrapezoidalTrajectory,
 )
 from motorhil.motorapi.adaptations.ideal.hardware import IdealHwMotor
@@ -22,6 +24,8 @@ from tests.support.motors.ideals import (
     near,
     samples,
 )
+
+UP = Polynomial((0.0, 0.0, 1.5, -1.0)).restricted(0.0, 1.0)  # half a radian, from rest to rest
 
 # --- set-points: straight motion
 
@@ -43,6 +47,17 @@ def test_set_point_own_velocity_limit_applies(runtime, motor):
     assert motor.velocity() == -0.5
     motor.wait_until_done()
     assert (runtime.now_ns(), motor.position()) == (2_000_000_000, -0.75)
+
+
+def test_function_that_fails_ends_the_motion_at_its_last_sample(runtime, motor):
+    function, fail = failing_function(UP, "no teeth")
+    follow(motor, ComplexTrajectory(function, relative=True))
+    runtime.run_for(0.5)
+    fail()
+    with pytest.raises(PluginError, match="ValueError: a trajectory: no teeth"):
+        motor.wait_until_done()
+    assert motor.position() == pytest.approx(0.25 + 0.25, abs=1e-9)  # half of the way
+    motor.close()
 
 
 def test_velocity_set_point_ramps_to_its_velocity(runtime, motor):
