@@ -5,7 +5,7 @@ from math import isnan
 from unittest.mock import patch
 
 from motorhil.harness.conformance.clauses import traffic
-from motorhil.motorapi import Motor, model
+from motorhil.motorapi import Motor, execution, model
 from motorhil.motorapi.adaptations.cia402 import measurements
 from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -393,6 +393,13 @@ def step_of_an_argument_is_in_another_unit():
         return told
 
     with replaced(StreamedMotion, "_beyond", wrong):
+        yield
+
+
+@mutant("cia402", "LEAD-05")
+def a_motor_leads_itself():
+    """A motor whose own position leads it is started."""
+    with replaced(execution, "_require_no_ring", lambda _: lambda *_: None):
         yield
 
 
