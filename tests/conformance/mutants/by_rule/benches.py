@@ -52,7 +52,7 @@ _FEW: Final = (
     *("LOST-07", "LOST-13", "PAR-01", "SYNC-13", "SYNC-23"),
 )
 """The clauses on further variations, since all others say nothing new."""
-OUTSIDERS: Final = ("new drive", "odrive")
+OUTSIDERS: Final = ("new drive", "odrive", "few hooks")
 """Adaptations of packages: they keep most defaults of the bases, which our own replace."""
 _OF: Final = "cia402: "
 _DRIVE: Final = "drive: "
@@ -134,6 +134,10 @@ def _outsider(name: str) -> Any:
 
     rig = Path(new_drive.__file__).with_name("rig.toml")
     text, adaptation = rig.read_text(), "motorhil.harness.examples.new_drive.host:build"
+    if name == "few hooks":
+        own = "tests.support.motors.template_drive:few_hooks"
+        text, adaptation = text.replace(adaptation, own), own
+        text = text.replace("window_rad = 0.002", "window_rad = 0.0015")  # for many tiny moves
     if name == "odrive":
         sources = str(OUTSIDER / "src")
         if sources not in sys.path:
