@@ -62,7 +62,7 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
             *(*_OF_PROGRAMS, "PROC-15"),
-            *("OPT-04", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
+            *("OPT-04", "OPT-05", "OPT-06", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
         }
     ),
     "dryve": _POLLED | {"MEAS-03", "PAR-02", "MEAS-06"},
