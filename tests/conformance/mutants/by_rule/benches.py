@@ -135,7 +135,7 @@ def _outsider(name: str) -> Any:
     rig = Path(new_drive.__file__).with_name("rig.toml")
     text, adaptation = rig.read_text(), "motorhil.harness.examples.new_drive.host:build"
     if name == "few hooks":
-        own = "tests.support.motors.template_drive:few_hooks"
+        own = "tests.conformance.benches.template_drive:few_hooks"
         text, adaptation = text.replace(adaptation, own), own
         text = text.replace("window_rad = 0.002", "window_rad = 0.0015")  # for many tiny moves
     if name == "odrive":
