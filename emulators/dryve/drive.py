@@ -50,6 +50,7 @@ from motorhil.emulators.cia402.settings import (
     OWN_EDS,
     DriveTimingTable,
     SwitchesTable,
+    out_of_reach,
     read_settings,
 )
 
@@ -369,5 +370,8 @@ def build(settings: Mapping[str, object], context: ControllerContext) -> Control
         inner["units"] = {"velocity_unit_inc_s": rate, "acceleration_unit_inc_s2": rate}
     inner |= {"node_id": _NODE, "supported_modes": ["pp", "pv", "hm"]}
     inside = read_settings(inner, context.folder, context.stream())
-    drive = Cia402Drive(_dictionary(own), inside)
+    events = [("warning", line) for line in out_of_reach(inside.switches, inside.plant)]
+    if not inside.oscillator.is_ideal():
+        events.append(("info", inside.oscillator.told()))
+    drive = Cia402Drive(_dictionary(own), inside, events)
     return on_own_time(Dryve(own.unit, drive), inside.oscillator)

@@ -235,6 +235,15 @@ class RigProtocol(Protocol):
         The motor under test and its drive have them beside their own. `motors` are new.
         """
 
+    def refusal(self, motor: "Motor", name: str, value: float) -> str:
+        """Set a physical input of the motor's emulated drive, by its name (Ability.SETTINGS).
+
+        Return the words by which the drive refuses it; "" if it has taken it.
+        """
+
+    def told(self, motor: "Motor") -> Sequence[str]:
+        """Return what the motor's emulated drive has told the rig's record (Ability.SETTINGS)."""
+
     def afresh(self) -> None:
         """Switch everything off and on again (Ability.AFRESH); `motors` are new and unused."""
 

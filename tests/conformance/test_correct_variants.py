@@ -17,6 +17,7 @@ from motorhil.harness.conformance.target import Target
 from motorhil.harness.rig.config.rig_file import parse_rig, read_rig
 from motorhil.harness.rig.config.toml import Source
 from motorhil.harness.rig.reading import installed_plugins
+from tests.conformance.mutants.by_rule import benches
 from tests.conformance.variants import (
     BENCHES,
     LIMITED_JERK,
@@ -209,3 +210,12 @@ def test_motor_with_short_moves_passes(tmp_path, clause, result):
     short = (_LONG, "long_move_rad = 0.04")
     verdict = verdict_of(clause, opener_of(tmp_path, NARROW, short))
     assert verdict.result is result, verdict.seen
+
+
+OF_DEFAULTS = ("SET-02", "MOVE-02", "DONE-01", "STOP-01", "FAULT-01", "FAULT-04", "LOW-01")
+"""Clauses that meet defaults of hooks: references, ends, stops, faults, missing capabilities."""
+
+
+@pytest.mark.parametrize("clauses", [OF_DEFAULTS, pytest.param(CLAUSES, marks=pytest.mark.nightly)])
+def test_motor_with_few_hooks_is_not_accused(clauses):
+    assert accusations(benches.opener("few hooks"), clauses) == []

@@ -23,7 +23,7 @@ _POLLED = frozenset(
     {
         *("MEAS-02", "SET-04", "SET-07", "TRAJ-04", "TRAJ-06", "TRAJ-07", "TRAJ-09"),
         *("TRAJ-11", "TRAJ-12"),
-        *("LIM-05", *_LED, "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
+        *("LIM-05", *_LED, "LEAD-05", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11", "FAULT-07", "TRAJ-14"),
         *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CANOPEN),
     }
@@ -62,7 +62,7 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
             *(*_OF_PROGRAMS, "PROC-15"),
-            *("OPT-04", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
+            *("OPT-04", "OPT-05", "OPT-06", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
         }
     ),
     "dryve": _POLLED | {"MEAS-03", "PAR-02", "MEAS-06"},
@@ -71,7 +71,8 @@ NOT_APPLICABLE = {
             *("MEAS-02", "MEAS-03", "SET-03", "SET-04", "SET-07", "SET-10", "SET-11", "START-04"),
             *(f"TRAJ-{number:02}" for number in (4, 5, 6, 7, 9, 10, 11, 12, 13, 14)),
             *("FAULT-07", "HOME-04"),
-            *("LIM-05", "LIM-08", *_LED, "STOP-05", "STOP-09", "LOW-02", "SYNC-05", *_OF_CIA402),
+            *("LIM-05", "LIM-08", *_LED, "LEAD-05", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
+            *_OF_CIA402,
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
             *("LOST-11", "PAR-02", "HOME-05", *_OF_CAN, *_OF_CANOPEN),
         }
@@ -83,7 +84,7 @@ NOT_APPLICABLE = {
             *("SET-04", "SET-07", "SET-10", "TRAJ-06"),  # no torque or current
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
             *("TRAJ-14", "FAULT-07"),
-            *(*_LED, *_OF_CIA402, "LIM-05", "LOST-08", "SYNC-19"),  # likewise
+            *(*_LED, "LEAD-05", *_OF_CIA402, "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "LOW-04", "SHARE-02", "PROC-14"),
             *("SYNC-06", "SYNC-11", "LOW-06", "PAR-02", *_OF_CANOPEN),
         }

@@ -176,6 +176,8 @@ class RigBench:
             self._description, seed=self.seed, record=record, doubts=record is not None
         )
         self.rig.world.queue.alarm(self._time_is_up).set(round(self._limit_s * 1e9))
+        self._told: list[str] = list(self.rig.notes)
+        self.rig.world.tap_events(self._hear)
 
         self._programs = Programs(self.rig, _is_other) if self._is_apart else None
         self._motors = self.rig.motors if self._programs is None else self._programs.motors
@@ -186,6 +188,9 @@ class RigBench:
 
         self._is_used = False
         self.observation: Observation | None = self._observe() if self._is_observed else None
+
+    def _hear(self, _time_ns: int, level: str, controller: str, text: str) -> None:
+        self._told.append(f"{controller}: {level}: {text}")
 
     def _observe(self) -> "Observation":
         from motorhil.harness.conformance.verdicts.observation import Observation
@@ -411,6 +416,20 @@ class RigBench:
         finally:
             self._description = before
             self._restart()
+
+    def refusal(self, motor: Motor, name: str, value: float) -> str:
+        """Set a physical input of the motor's drive; return the words of a refusal, or ""."""
+        self._is_used = True
+        try:
+            self.rig.controllers[self._controller(motor)].stimulate(name, value)
+        except ValueError as error:
+            return str(error) or "refused without a word"
+        return ""
+
+    def told(self, motor: Motor) -> Sequence[str]:
+        """Return what the motor's drive has told the rig's record."""
+        own = f"{self._controller(motor)}: "
+        return [text.removeprefix(own) for text in self._told if text.startswith(own)]
 
     # --- observations and actions ---------------------------------------------------------
 

@@ -270,6 +270,14 @@ class WallBench:
         """Raise NotApplicable."""
         _refuse(Ability.SETTINGS)
 
+    def refusal(self, motor: Motor, name: str, value: float) -> str:
+        """Raise NotApplicable."""
+        _refuse(Ability.SETTINGS)
+
+    def told(self, motor: Motor) -> Sequence[str]:
+        """Raise NotApplicable."""
+        _refuse(Ability.SETTINGS)
+
     # --- helpers --------------------------------------------------------------------------
 
     def _motor(self, name: str) -> Motor:

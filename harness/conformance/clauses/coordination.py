@@ -27,6 +27,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     position_of,
     rest_for,
     shortest_s,
+    torque_of,
     trajectories_of,
 )
 from motorhil.harness.conformance.clauses.tracks import GroupPositions, positions_of
@@ -51,6 +52,7 @@ _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _GROUP_S: Final = 10.0
 _GROUP_TIMEOUT_S: Final = 0.5
+_BRAKES_S: Final = 0.03
 _PHASE: Final = Synchronization.PHASE
 
 
@@ -105,6 +107,46 @@ def deviation_from_path_is_reported(bench: RigProtocol) -> None:
                 abs(one.deviation - worst) <= spare,
                 f"{one.motor}: deviation {one.deviation:.6g} reported; {worst:.6g} measured",
             )
+    is_able = {Ability.FAULT, Ability.LOAD} <= set(bench.abilities)
+    if is_able and len(bench.motors) > 2 and bench.motors[1].model.torque_max is not None:
+        _expect_deviation_after_failure(bench)
+
+
+def _expect_deviation_after_failure(bench: RigProtocol) -> None:
+    """Check that the deviation of two members is reported that brake after a third has failed."""
+    way = half_move(bench)
+    ways = (2.0 * way, -0.3 * way, way)
+    group = pair_of(bench, *ways)
+    group.synchronization = _PHASE
+    group.fault_reaction = FaultReaction.TOGETHER
+    try:
+        group.start()
+    except UnsupportedError:  # they cannot stop together
+        return
+    first, second, failing = group
+    track = GroupPositions(bench, (first, second))
+    rest_for(bench, midway_s(bench.motor, 2.0 * way, 0.5))
+    bench.fail(failing)
+    rest_for(bench, _BRAKES_S)
+    for load in (torque_of(second, 1.5), 0.0):
+        bench.load(second, load)
+        rest_for(bench, _BRAKES_S)
+    error = failure_of(partial(group.wait_until_done, _GROUP_S))
+    expect(error is not None, f"{failing.name} failed, but its group reported done")
+    rest_for(bench, 2.0 * first.model.velocity_max / first.model.deceleration)
+    track.end()
+    square = ways[0] ** 2 + ways[1] ** 2
+    begun, worst = track.samples[0][1], 0.0
+    for _, positions in track.samples:
+        gone = [at - was for at, was in zip(positions, begun, strict=True)]
+        part = (gone[0] * ways[0] + gone[1] * ways[1]) / square
+        worst = max(worst, abs(gone[1] - part * ways[1]))
+    told = group.sync_quality().path[1].deviation
+    expect(
+        told is None or worst <= 3.0 * bench.facts.window or told >= 0.5 * worst,
+        f"{second.name}, loaded while it braked with {first.name} after {failing.name} had failed:"
+        f" deviation {told:.6g} reported; {worst:.6g} measured",
+    )
 
 
 @clause(

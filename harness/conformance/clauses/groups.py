@@ -8,7 +8,7 @@ from math import hypot, inf, sqrt
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
-from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
+from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, shortest
 from motorhil.harness.conformance.clauses.helpers import (
     FINE_S,
     braking_distance,
@@ -84,6 +84,7 @@ _FRAMES_S = 0.02
 _SLOWLY = 0.1  # of the largest velocity
 _FIRST = 0.01  # of a streamed move: it has begun
 _FAR = 1e-6  # U: two skews that are not meant to differ
+_INSTANTS = 400  # of a pair of profiles
 
 
 @clause(
@@ -612,7 +613,41 @@ def _expect_line(
     )
     reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
     expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
+    _expect_rounding(group)
     return track, took_s
+
+
+def _expect_rounding(group: MotorGroup) -> None:
+    """Check the predicted deviations of a start: those of the profiles that the hardware makes.
+
+    "Nearest" on the line is measured in the time that each motor needs at its top speed.
+    """
+    runs = [(motor, motor.logical.physical.run) for motor in group]
+    made = [
+        (one, one.logical.hooks.quantise(run.motion)) for one, run in runs if run and run.motion
+    ]
+    if len(made) < len(group) or any(jerk_of(motor) != inf for motor in group):
+        return
+    speeds = [motor.model.velocity_max for motor in group]
+    ways = [motion.distance for _, motion in made]
+    limits = [(one.distance, one.velocity, one.acceleration, one.deceleration) for _, one in made]
+    demands = [shortest(*one) for one in limits]
+    last_s = max(least_s(*one) for one in limits)
+    square = sum((way / top) ** 2 for way, top in zip(ways, speeds, strict=True))
+    worst = [0.0 for _ in group]
+    for step in range(_INSTANTS):
+        at = [demand(last_s * step / _INSTANTS) for demand in demands]
+        parts = zip(at, ways, speeds, strict=True)
+        share = sum(gone * way / top**2 for gone, way, top in parts) / square
+        off = [abs(gone - share * way) for gone, way in zip(at, ways, strict=True)]
+        worst = [max(pair) for pair in zip(worst, off, strict=True)]
+    for one, found, way in zip(group.sync_quality().path, worst, ways, strict=True):
+        told = one.predicted or 0.0
+        expect(
+            abs(told - found) <= 0.05 * found + 1e-9 * abs(way),
+            f"{one.motor}: deviation by rounding predicted as {told:.6g}; the profiles of its"
+            f" hardware deviate by {found:.6g}",
+        )
 
 
 def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> float:

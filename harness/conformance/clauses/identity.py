@@ -6,15 +6,18 @@ from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_state,
     expect_unmoved,
+    finish,
+    follow,
     long_move,
     move,
     position_of,
     reached,
     rest_for,
+    shortest_s,
     torque_of,
 )
 from motorhil.harness.rig.config.conformance import Capability
-from motorhil.motorapi import Motor, MotorState, PluginError
+from motorhil.motorapi import Motor, MotorState, PluginError, TrapezoidalTrajectory
 
 _HOLDS = 0.3  # of the largest torque
 
@@ -84,7 +87,11 @@ def latest_state_is_returned_at_once(bench: RigProtocol) -> None:
     seen = []
     timer = bench.runtime.every(0.02, lambda: seen.append((motor.latest(), repr(motor))))
     way = 0.25 * long_move(bench)
-    move(bench, motor, way)
+    follow(motor, TrapezoidalTrajectory(way))
+    _expect_record_shown(bench, motor)
+    finish(bench, motor, shortest_s(motor, way))
+    shown = repr(motor.logical.physical)
+    expect(": at rest>" in shown, f"a motor at rest: its record is shown as {shown}")
     timer.cancel()
     reached(len(seen) > 3, "a call of latest() during the motion")
     position, before_ns = motor.position(), bench.runtime.now_ns()
@@ -106,6 +113,22 @@ def latest_state_is_returned_at_once(bench: RigProtocol) -> None:
         f"latest() has following error {error} at rest at the target; the window is"
         f" {bench.facts.window:g} {motor.model.unit}",
     )
+
+
+def _expect_record_shown(bench: RigProtocol, motor: Motor) -> None:
+    """Expect the texts of the physical motor and its motion to tell what is going on, since when.
+
+    Authors of adaptations meet them: `register_physical_motor` returns the record.
+    """
+    physical = motor.logical.physical
+    shown = repr(physical)
+    expect(
+        f"start() of {motor.name}>" in shown,
+        f"in motion, the record of {motor.name} is shown as {shown}; expected its start()",
+    )
+    since_s = (bench.runtime.now_ns() if physical.run is None else physical.run.since_ns) / 1e9
+    shown = repr(physical.run)
+    expect(f" since {since_s:.6f} s:" in shown, f"begun at {since_s:.6f} s, shown as {shown}")
 
 
 @clause(

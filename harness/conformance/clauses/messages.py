@@ -13,6 +13,7 @@ from motorhil.harness.conformance.bench import RigProtocol
 from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import expect_raises
 from motorhil.motorapi import (
+    ControlMode,
     ControlVariable,
     DeadlineExceeded,
     DerivativeLimits,
@@ -21,6 +22,7 @@ from motorhil.motorapi import (
     FileError,
     LimitError,
     LinkError,
+    Motion,
     MotionInterrupted,
     MotorBusyError,
     MotorError,
@@ -343,6 +345,18 @@ _SHOWN: Final[tuple[tuple[object, str], ...]] = (
     ),
     (TrapezoidalTrajectory(2.0), "<TrapezoidalTrajectory by 2.0, as fast as allowed>"),
     (Setpoint(1.0), "Setpoint(value=1.0)"),
+    (
+        Motion(ControlMode.TRAJECTORY, ControlVariable.POSITION, 0.0, 1.0, 2.0, 4.0, 3.0),
+        "<Motion trajectory of position: 0 to 1, velocity up to 2, acceleration 4, deceleration 3>",
+    ),
+    (
+        Motion(ControlMode.SETPOINT, ControlVariable.VELOCITY, 0.0, -1.0, 1.0, 4.0, 3.0),
+        "<Motion setpoint of velocity: 0 to -1, acceleration 4, deceleration 3>",
+    ),
+    (
+        Motion(ControlMode.SETPOINT, ControlVariable.TORQUE, 0.5, 1.0, 1.0, 1.0, 1.0, slope=2.0),
+        "<Motion setpoint of torque: 0.5 to 1, 2 per s>",
+    ),
     (Setpoint(1.0, True), "Setpoint(value=1.0, relative=True)"),
 )
 

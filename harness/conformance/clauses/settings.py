@@ -3,6 +3,7 @@
 U is the unit of the motor's position, rad or m.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
@@ -10,6 +11,8 @@ from functools import partial
 from inspect import signature
 from itertools import product
 from math import inf, isfinite, nan, nextafter
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol, Stated
@@ -54,6 +57,18 @@ from motorhil.settings import Number, SettingError, Text, declaration, shown
 
 _UNIT_MAX: Final = 16  # characters
 _CLASSICAL: Final = "CAN_20"  # python-can's name
+_LOAD, _POWER = "load_torque_n_m", "power"
+_TOO_MUCH: Final = 1e12  # N·m
+_RANGED: Final = ("supply_v",)
+_SWITCHES: Final = ("negative_limit", "positive_limit", "home", "interlock")
+"""Digital inputs, which follow their switches while they are released."""
+_RELEASED: Final = -1.0
+_NEITHER: Final = 1e9 + 0.5
+_ALLOWED: Final = re.compile(r"expected (-?\d[-\d.e+, to]*)")
+_BOOTED_S: Final = 0.5
+_STIFFNESS: Final = "coupling_stiffness_n_m_rad"
+_TOO_STIFF: Final = 1e9
+_STIFFEST: Final = re.compile(r"at most (\S+) N m/rad")
 _UNKNOWN: Final = "no_such_option"
 _WRONG: Final[tuple[object, ...]] = (True, "", "no such word", 0.5, nan, inf, -inf, [], {}, b"1")
 """Values of all types; an option takes few of them, if any."""
@@ -616,3 +631,132 @@ def unfit_drive_is_refused(bench: RigProtocol) -> None:
                     f"a drive with {told}: {type(error).__name__}: {error}; expected its refusal",
                 )
                 expect(words in f"{error}", f"a drive with {told}: {error}; expected {words!r}")
+
+
+@clause(
+    "OPT-05",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="[[stimulus]] of a rig: a physical event at a controller; errors: value, limit, unit",
+)
+def impossible_inputs_are_refused_with_limits(bench: RigProtocol) -> None:
+    """An emulated drive refuses physical inputs that cannot be; what it allows, it takes."""
+    motor = bench.motor
+    unknown = bench.refusal(motor, _UNKNOWN, 0.0)
+    expect(_UNKNOWN in unknown, f"the physical input {_UNKNOWN} was taken, or refused: {unknown}")
+    known = unknown.partition("known: ")[2].split(", ")
+    for name, value in ((_LOAD, _TOO_MUCH), (_LOAD, -_TOO_MUCH), (_POWER, 2.0)):
+        expect(name in known, f"no physical input {name}; the drive has {', '.join(known)}")
+        text = bench.refusal(motor, name, value)
+        is_told = name in text and any(one in text for one in (f"{value:g}", f"{value}"))
+        expect(is_told, f"{name} = {value:g}: {text or 'taken'}; expected a refusal with the value")
+    for name in (*_SWITCHES, *known):
+        if name in (_LOAD, _POWER, *_RANGED) or name not in known:
+            continue
+        if name in _SWITCHES:
+            for value in (0.0, 1.0, _RELEASED):
+                text = bench.refusal(motor, name, value)
+                expect(not text, f"{name} = {value:g} (off, on or released): {text}")
+        text = bench.refusal(motor, name, _NEITHER)
+        found = _ALLOWED.search(text)
+        if found is None:
+            continue
+        numbers = [float(one) for one in found[1].replace(" to ", ", ").split(", ")]
+        for value in numbers:
+            allowed = bench.refusal(motor, name, value)
+            expect(not allowed, f"{name} = {value:g}: {allowed}; but {name} = {_NEITHER}: {text}")
+    bench.afresh()
+    motor = bench.motor
+    motor.enable()
+    expect_state(motor, MotorState.ENABLED, "switched off and on, after wrong inputs")
+
+
+@clause(
+    "OPT-06",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="the rig file: a mistake is named with its key; what is odd is in the record",
+)
+def odd_settings_of_a_drive_are_told(bench: RigProtocol) -> None:
+    """An emulated drive refuses settings that cannot be, by their key, and tells what is odd."""
+    stated = bench.stated(of_drive=True)
+    if stated is None:
+        raise NotApplicable("the controller declares no settings")
+    keys, values = stated.declaration.keys, stated.values
+    if "oscillator" in keys:
+        _expect_told(bench, {"oscillator": {"ppm": -250.0}}, "250 ppm slow")
+    plant: dict[str, object] = dict(values.get("plant", {}))  # type: ignore[call-overload]
+    if {"objects", "switches"} <= set(keys):
+        _expect_switches_told(bench, plant)
+    if not {"objects", "quirks"} <= set(keys):
+        return
+    _expect_told(bench, {"quirks": {"statusword_bits": {"bits": 0x4000}}}, "bits = 0x4000")
+    _expect_told(bench, {"quirks": {"late_boot_up": {"by_s": 0.125}}}, "by_s = 0.125")
+    objects = dict(values.get("objects", {}))  # type: ignore[call-overload]
+    _expect_told(bench, {"objects": {**objects, "1A00h:1": 0xFFFF_0008}}, "FFFF0008h")
+    for key, wrong in (("6081h", "fast"), ("6081h", 1.5), ("6081h", -1)):
+        _expect_not_built(bench, {"objects": {**objects, key: wrong}}, key)
+    _expect_not_built(bench, {"eds": "no such file.eds"}, "no such file.eds")
+    with TemporaryDirectory() as folder:
+        broken = Path(folder, "broken.eds")
+        broken.write_text("[DeviceInfo]\n\n[6040\n")
+        _expect_not_built(bench, {"eds": str(broken)}, f"{broken}:3")
+    _expect_stiffness(bench, plant)
+
+
+def _expect_switches_told(bench: RigProtocol, plant: Mapping[str, object]) -> None:
+    """Expect a switch beyond the end stops to be told, and one within them not."""
+    stops = {**plant, "stop_low_rad": -2.0, "stop_high_rad": 2.0}
+    switches = {"home_from_rad": 2.5, "home_to_rad": 3.0}
+    stopped = {"plant": stops, "initial_position_rad": 0.0}
+    text = _expect_told(bench, {**stopped, "switches": switches}, "home is beyond")
+    expect(
+        not text or "-2..2 rad" in text,
+        f"the home switch is at {switches}, the ends at 2 rad: {text}",
+    )
+    switches = {"home_from_rad": 0.5, "home_to_rad": 1.0}
+    _expect_told(bench, {**stopped, "switches": switches}, "home is beyond", not_so=True)
+
+
+def _expect_told(
+    bench: RigProtocol, drive: Mapping[str, object], text: str, *, not_so: bool = False
+) -> str:
+    """Expect a drive with these settings to tell this, or not; return what it tells."""
+    try:
+        with bench.altered({}, drive):
+            rest_for(bench, _BOOTED_S)
+            told = " | ".join(bench.told(bench.motor))
+    except RigError:  # beside its other settings
+        return ""
+    is_so = (text in told) is not not_so
+    expect(is_so, f"with {drive}: told is {told!r}; expected {'no ' if not_so else ''}{text!r}")
+    return told
+
+
+def _not_built(bench: RigProtocol, drive: Mapping[str, object]) -> str:
+    """Return the error of a rig whose drive has these settings; "" if it is built."""
+    try:
+        with bench.altered({}, drive):
+            return ""
+    except RigError as error:
+        return str(error)
+
+
+def _expect_not_built(bench: RigProtocol, drive: Mapping[str, object], text: str) -> None:
+    """Expect a rig whose drive has these settings to be refused with this text."""
+    error = _not_built(bench, drive)
+    expect(text in error, f"with {drive}: {error or 'built'}; expected a refusal with {text}")
+
+
+def _expect_stiffness(bench: RigProtocol, plant: Mapping[str, object]) -> None:
+    """Expect a coupling that is too stiff to be refused with the stiffest one, which is built."""
+    if _not_built(bench, {"plant": {**plant, _STIFFNESS: 1.0}}):  # beside its other settings
+        return
+    error = _not_built(bench, {"plant": {**plant, _STIFFNESS: _TOO_STIFF}})
+    found = _STIFFEST.search(error)
+    expect(_STIFFNESS in error and found is not None, f"{_STIFFNESS} = {_TOO_STIFF:g}: {error}")
+    most = 0.0 if found is None else float(found[1])
+    for share, is_built in ((0.99, True), (1.02, False)):
+        error = _not_built(bench, {"plant": {**plant, _STIFFNESS: share * most}})
+        what = f"{_STIFFNESS} = {share * most:g}, {share:g} times the stiffest one"
+        expect((not error) is is_built, f"{what}: {error or 'built'}")

@@ -1,11 +1,13 @@
 """Mistakes with refusals, errors, models, profiles and declared traffic."""
 
+from contextlib import suppress
 from dataclasses import replace
 from math import isnan
 from unittest.mock import patch
 
 from motorhil.harness.conformance.clauses import traffic
-from motorhil.motorapi import Motor, model
+from motorhil.harness.rig.rig import Rig, RigController
+from motorhil.motorapi import Motor, execution, model
 from motorhil.motorapi.adaptations.cia402 import measurements
 from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
@@ -393,6 +395,43 @@ def step_of_an_argument_is_in_another_unit():
         return told
 
     with replaced(StreamedMotion, "_beyond", wrong):
+        yield
+
+
+@mutant("cia402", "LEAD-05")
+def a_motor_leads_itself():
+    """A motor whose own position leads it is started."""
+    with replaced(execution, "_require_no_ring", lambda _: lambda *_: None):
+        yield
+
+
+@mutant("mit", "OPT-05")
+def physical_inputs_are_not_checked():
+    """Physical inputs that cannot be are ignored without a word."""
+
+    def wrong(stimulate):
+        def stimulated(drive, name, value):
+            with suppress(ValueError):
+                stimulate(drive, name, value)
+
+        return stimulated
+
+    with replaced(RigController, "stimulate", wrong):
+        yield
+
+
+@mutant("cia402", "OPT-06")
+def clock_of_an_emulated_drive_is_ignored():
+    """An emulated drive has an ideal clock, whatever its rig states."""
+
+    def wrong(build):
+        def built(rig, controller):
+            own = {key: one for key, one in controller.settings.items() if key != "oscillator"}
+            return build(rig, replace(controller, settings=own))
+
+        return built
+
+    with replaced(Rig, "_build_controller", wrong):
         yield
 
 

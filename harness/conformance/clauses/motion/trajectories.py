@@ -28,6 +28,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_speed,
     expect_tracks,
+    expect_unmoved,
     failing_function,
     failure_of,
     finish,
@@ -52,6 +53,7 @@ from motorhil.motorapi import (
     LimitError,
     LinkError,
     Motor,
+    MotorGroup,
     MotorPosition,
     PluginError,
     StateError,
@@ -762,3 +764,47 @@ def step_of_argument_is_refused_truly(bench: RigProtocol) -> None:
             expect_rest(bench, motor, "after its argument stepped")
         motor.reset_fault()
         motor.enable()
+
+
+@clause(
+    "LEAD-05",
+    Level.L1,
+    needs={Capability.COMPLEX_POSITION},
+    bench={Ability.TRUTH, Ability.SECOND_MOTOR, Ability.SEVERAL_USERS},
+    source="MotorPosition; StateError: motor, state, remedy; nothing was sent",
+)
+def motor_that_leads_itself_is_refused(bench: RigProtocol) -> None:
+    """A motor that would lead itself, also through others, is refused with all names in order."""
+    from motorhil.motorapi.functions import Polynomial
+
+    first, second = bench.motors[:2]
+    again = bench.another_user_of(first)
+    gear = ComplexTrajectory(Polynomial((0.0, _GEAR)).restricted(-1.0, 1.0), relative=True)
+    places = []
+    for motor in (first, second):
+        motor.enable()
+        motor.position()
+        places.append(position_of(bench, motor))
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+    again.position()
+    for leaders, ring in (
+        ({first: first}, (first, first)),
+        ({first: again}, (first, again)),
+        ({first: second, second: first}, (first, second, first)),
+    ):
+        try:
+            for led, leader in leaders.items():
+                led.set_trajectory(gear, MotorPosition(leader))
+            error = failure_of(MotorGroup(*leaders).start)
+        except UnsupportedError as refused:
+            raise NotApplicable(f"no motor can lead this one: {refused}") from None
+        if isinstance(error, UnsupportedError):
+            raise NotApplicable(f"no motor can lead this one: {error}")
+        told = " follows ".join(one.name for one in ring)
+        told += ", the same motor;" if ring[-1] is again else ";"
+        expect(
+            isinstance(error, StateError) and told in f"{error}" and error.motor == first.name,
+            f"a motor that leads itself: {error!r}; expected StateError with {told!r}",
+        )
+    for motor, place in zip((first, second), places, strict=True):
+        expect_unmoved(bench, motor, place, f"{motor.name}, after a ring was refused")

@@ -250,7 +250,12 @@ def index_pulse(bench: DriveBench) -> None:
     velocity = max(1, round(pace.velocity * min(1.0, 4.0 * turn / pace.speed)))
     for sources, function in (((1, 2), _INDEX), ((5, 6), _BY_SOURCE)):
         for place, source in enumerate(sources, 1):
-            drive.set(Entry(0x60D0, place, "h", "touch probe source"), source)
+            chosen = Entry(0x60D0, place, "h", "touch probe source")
+            if "index_rad" in bench.stated.get("switches", {}) and not bench.is_real:
+                code = drive.offer_value(chosen, source)
+                expected = "accepted: the rig states an index pulse for both probes"
+                drive.expect(not code, f"{chosen} = {source}", expected, f"{code:08X}h")
+            drive.set(chosen, source)
         for _, _, shift, value, events in _PROBES:
             what = f"60B8h = {(function | _ON | _EVERY | _RISING) << shift:04X}h"
             drive.write(od.PROBE_FUNCTION, (function | _ON | _EVERY | _RISING) << shift)

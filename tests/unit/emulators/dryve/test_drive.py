@@ -4,9 +4,12 @@ Expected bytes: igus, Operating Manual dryve D1 V2.4, pages 104, 105 and 110, an
 program of 2020-12-04, whose arrays users' programs compare as a whole.
 """
 
+from pathlib import Path
+
 import pytest
 
-from motorhil.emulators.controller import SettingError
+from motorhil.emulators.controller import ControllerContext, SettingError
+from motorhil.emulators.dryve.drive import build
 from tests.support.dryve.bench import Bench
 
 
@@ -251,3 +254,15 @@ def test_stimulus_of_other_name_is_refused(bench):
         bench.stimulate("di11", 1)
     with pytest.raises(ValueError, match="0 or 1"):
         bench.stimulate("di1", 2)
+
+
+def test_clock_and_unreachable_switches_are_told():
+    stops = {"preset": "wheel_60w", "stop_low_rad": -1.0, "stop_high_rad": 1.0}
+    table = {
+        **{"unit": 1, "plant": stops, "oscillator": {"ppm": 80.0}},
+        "switches": {"home_from_rad": 2.0, "home_to_rad": 3.0},
+    }
+    drive = build(table, ControllerContext("drive", Path(), 1))
+    told = " ".join(text for _, text in drive.take_events())
+    assert "switch home is beyond the ends of the way" in told
+    assert "80 ppm fast" in told

@@ -24,6 +24,10 @@ _NOT_MAPPABLE: Final = 0x0604_0041
 _TOO_LONG: Final = 0x0604_0042
 _VALUE: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0604_0043, 0x0800_0000, _UNSUPPORTED)
 _PDO_BITS: Final = 64
+_RESTRICTED: Final = (  # CiA 301, table of restricted CAN identifiers
+    *((0x001, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F)),
+    *((0x6E0, 0x6FF), (0x701, 0x7FF)),
+)
 _TPDO: Final = Entry(0x1800, 1, "I", "COB-ID")
 _OF_INVALID: Final = (
     Entry(0x1800, 3, "H", "inhibit time"),
@@ -65,6 +69,25 @@ def _expect_own_mapping_again(drive: Drive, first: int) -> None:
         drive.write(parameter, cob_id)
 
 
+def _expect_whole_ranges_refused(drive: Drive, parameter: Entry, cob_id: int) -> None:
+    """Expect a drive that refuses identifiers within a restricted range to refuse its ends, too."""
+    base = cob_id & ~(_INVALID | 0x7FF)
+
+    def is_taken(identifier: int) -> bool:
+        code = drive.offer_value(parameter, base | identifier)
+        drive.write(parameter, cob_id | _INVALID)
+        return not code
+
+    for low, high in _RESTRICTED:
+        middle = (low + high) // 2
+        if is_taken(middle) or is_taken(middle + 1):  # CiA 301 forbids them to the host
+            continue
+        for end in (low, high):
+            what = f"{parameter} with the restricted identifier {end:03X}h"
+            expected = f"an abort, as for {middle:03X}h"
+            drive.expect(not is_taken(end), what, expected, "accepted")
+
+
 @drive_clause("PDO-09", Level.L0, source="CiA 301, 7.5.2.35 to 7.5.2.38, PDO mapping procedure")
 def mapping_procedure(bench: DriveBench) -> None:
     """A PDO is changed only while it is invalid; entries that cannot be mapped are refused."""
@@ -91,6 +114,7 @@ def mapping_procedure(bench: DriveBench) -> None:
         if first == 0x1400:
             _refused(drive, kind, 252, _VALUE, "a type of TPDOs")
         drive.write(parameter, cob_id | _INVALID)
+        _expect_whole_ranges_refused(drive, parameter, cob_id)
         _refused(drive, entry, mapped.mapped, (_UNSUPPORTED, *_VALUE), "with a mapping")
         drive.write(count, 0)
         _refused(drive, entry, 0x5FFF_0008, _ABSENT, "an absent object")
