@@ -118,7 +118,7 @@ AccessType=ro
 DefaultValue=0x123456
 PDOMapping=1
 """
-_CHANGED: Final = (
+_ODD: Final = (
     ("DefaultValue=motorhil CiA 402 drive", "DefaultValue=motorhil CiA 402 axis"),  # 3 segments
     ("Dummy0001=0", "Dummy0001=1"),
     ("Granularity=8", "Granularity=1"),
@@ -241,7 +241,7 @@ DRIVES: dict[str, str] = {
         "switches = { index_pulse = false }"
     ),
     "modes untold": f'eds = "{_eds("modes untold", without=("6071", "6502"))}"',
-    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_CHANGED)}"',
+    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_ODD)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}\n[conformance]\nfault_code = 0x4310",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},
