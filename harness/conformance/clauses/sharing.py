@@ -546,10 +546,10 @@ def last_closed_motor_leaves_its_bus(bench: RigProtocol) -> None:
 
 def _is_used_in(one: Any, runtime: object) -> bool:
     """Return whether an object of the interface counts its users, and is of this runtime."""
-    kind = type(one)
-    if not kind.__module__.startswith(_INTERFACE) or not isinstance(
-        getattr(one, "users", None), int
-    ):
+    module: Any = type(one).__module__  # a descriptor, of a few types
+    if not isinstance(module, str) or not module.startswith(_INTERFACE):
+        return False
+    if not isinstance(getattr(one, "users", None), int):
         return False
     link = getattr(one, "link", one)
     return getattr(link, "runtime", None) is runtime and one.users > 0

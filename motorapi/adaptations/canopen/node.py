@@ -6,6 +6,7 @@
 import struct
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from motorhil.motorapi.adaptations.canopen.bus import HEARTBEAT_ID, OPERATIONAL, STOPPED, CanopenBus
@@ -30,6 +31,7 @@ _PRE_OPERATIONAL: Final = 0x80
 _LOST_REMEDY: Final = "check its power and cable, and the load of the bus"
 _EMCY: Final = struct.Struct("<8xHB5s")
 _EMERGENCIES_MAX: Final = 100
+_ASK_AGAIN_NS: Final = 1_000_000_000
 
 
 class CanopenNode:
@@ -72,6 +74,7 @@ class CanopenNode:
         self._operational_ns = -1  # time of the last such report
         self._keeps_host_heartbeat = False
         self._watches_nmt = False
+        self._ask_again_ns = 0
         self._was_operational = False
         self._has_shown_state = False  # by a heartbeat since it was started, which may be older
         self._boots_known = 0
@@ -111,9 +114,7 @@ class CanopenNode:
         state = frame[8] & 0x7F
         is_news = not state or state != self.nmt_state or self.lost_since_ns is not None
         if state == 0:
-            self.boots += 1
-            self.error = None
-            self.sdo.rebooted()
+            self._note_boot_up()
         self.nmt_state = state
         if state == OPERATIONAL:
             self._operational_ns = time_ns
@@ -124,6 +125,26 @@ class CanopenNode:
         self._heartbeat_ns = self.link.runtime.now_ns()
         if is_news:
             self.news.grow()
+
+    def _note_boot_up(self) -> None:
+        self.boots += 1
+        self.error = None
+        self.sdo.rebooted()
+
+    def look_for_restart(self) -> None:
+        """Ask a silent node whether it has restarted, unless it was asked a short time ago.
+
+        Its boot-up message was lost then, and it produces no heartbeat before it is set up again.
+        But it answers, and has forgotten the period of its heartbeat.
+        """
+        now_ns = self.link.runtime.now_ns()
+        if self.lost_since_ns is None or now_ns < self._ask_again_ns:
+            return
+        self._ask_again_ns = now_ns + _ASK_AGAIN_NS
+        with suppress(MotorError):
+            if self.read_optional(0x1017) not in (None, self._options.heartbeat_ms):
+                self._note_boot_up()
+                self.news.grow()
 
     def expect_heartbeat(self) -> None:
         """Regard silence as the loss of the drive from now on; it has just answered."""

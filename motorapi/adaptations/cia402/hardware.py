@@ -188,8 +188,10 @@ class Cia402HwMotor:
     def connect(self) -> DriveFacts:
         """Bring the drive up and configure it, unless that was done already; see `bring_up`."""
         facts = self.facts
-        if facts is not None and self._close.alive and self._is_known:
-            return facts
+        if facts is not None and self._close.alive:
+            self.node.look_for_restart()
+            if self._is_known:
+                return facts
         if not self._close.alive:
             raise LinkError(link=self.label, reason="this hardware object is closed")
         options = self.options

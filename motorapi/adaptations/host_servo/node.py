@@ -248,8 +248,10 @@ class AmplifierNode:
             UnsupportedError: the node refuses the PDOs that a servo needs.
         """
         facts = self.facts
-        if facts is not None and self.node.is_up:
-            return facts
+        if facts is not None:
+            self.node.look_for_restart()
+            if self.node.is_up:
+                return facts
         if self.is_closed:
             raise LinkError(link=self.node.label, reason="this hardware object is closed")
         options = self.options

@@ -86,6 +86,23 @@ def test_rebooted_drive_is_brought_up_again(rig: Rig):
     motor.wait_until_done(timeout_s=5)
 
 
+def test_drive_that_rebooted_unheard_is_brought_up_again(rig: Rig):
+    motor = motor_of(rig)
+    go_to(motor, 1.0)
+    motor.wait_until_done(timeout_s=5)
+    motor.home(37)
+    unheard = FaultRule("unheard", FaultKind.DROP, sender="left")
+    rig.faults.inject("can0", unheard)
+    motor.hardware.node.bus.nmt(0x81, 1)
+    rig.runtime.run_for(1.0)
+    assert motor.state() is MotorState.OFFLINE
+    rig.faults.lift("can0", "unheard")
+    rig.runtime.run_for(1.0)
+    assert not motor.is_referenced()
+    go_to(motor, 0.25)
+    motor.wait_until_done(timeout_s=5)
+
+
 def test_drive_reboot_in_motion_raises_link_error(rig: Rig):
     motor = motor_of(rig)
     go_to(motor, 3.0)
