@@ -33,7 +33,7 @@ _OF_INVALID: Final = (
     Entry(0x1800, 3, "H", "inhibit time"),
     Entry(0x1800, 6, "B", "SYNC start value"),
 )
-"""What is changed only while the TPDO is invalid, of what a drive need not have."""
+"""The optional settings of a TPDO that change only while it is invalid."""
 _BOOLEAN: Final = 0x0001
 _BIT: Final = 0x0001_0001  # a dummy of one bit
 _BITS: Final = 4
