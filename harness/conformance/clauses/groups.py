@@ -282,6 +282,8 @@ def _lead_s(bench: RigProtocol, order: int) -> tuple[float, float]:
     group.start()
     finish_group(bench, group)
     track.end()
+    apart = group.sync_quality().straddles
+    expect(apart == 0, f"started by one signal, but {apart} signals are told between the commands")
     first, second = (track.when(member, BEGUN, way) for member in (0, 1))
     expect(first is not None and second is not None, "not all members began")
     return ((second or 0.0) - (first or 0.0)) / 1e9, most_s

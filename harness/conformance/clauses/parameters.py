@@ -49,6 +49,9 @@ _PERIOD_MS: Final = 95
 _PDO_LENGTH: Final = 0x8210  # CiA 301, EMCY: PDO not processed due to length error
 _FIRST_RPDO: Final = 0x200  # CiA 301, predefined connection set
 _RAMP_S: Final = 0.5
+_NO_GAIN: Final = 41  # a sub-index of 60F9h that no drive has
+_VELOCITY_TPDO, _VELOCITY_MAP, _VELOCITY = 0x1801, 0x1A01, 0x606C  # CiA 301, TPDO 2; CiA 402-2
+_INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
 
 
 def _parameters_of(motor: Motor) -> tuple[Any, Callable[[Any], None]]:
@@ -221,6 +224,13 @@ def _expect_refusals(motor: Motor, kind: Any, set_parameters: Callable[[Any], No
             set_parameters(kind(**{name: value}))
             what = f"a start with {name} = {value:g} was accepted"
             expect_raises(LimitError, motor.start, what)
+    if hasattr(kind(), "velocity_gains"):
+        set_parameters(kind(velocity_gains=(*(None,) * (_NO_GAIN - 1), 1)))
+        error = failure_of(motor.start)
+        expect(
+            isinstance(error, UnsupportedError) and f"60F9h:{_NO_GAIN}" in f"{error}",
+            f"a start with gain {_NO_GAIN} of velocity: {error}; expected 60F9h:{_NO_GAIN} named",
+        )
     set_parameters(kind())
 
 

@@ -64,6 +64,7 @@ _SETTLED_S: Final = 0.5
 _UP: Final = 1.25
 _FURTHER: Final = 0x20
 _ASIDE: Final = 16
+_HEARTBEAT, _HOST = "heartbeat_ms", "host_node_id"
 
 
 def _stated(bench: RigProtocol) -> Stated:
@@ -257,8 +258,31 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
         _expect_defaults(type(hardware), stated)
         _expect_shared(bench, motor, hardware, stated)
         _expect_addresses(bench, motor, hardware, stated)
+        _expect_one_heartbeat(bench, stated)
     motor.enable()
     expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
+
+
+def _expect_one_heartbeat(bench: RigProtocol, stated: Stated) -> None:
+    """Expect one period of the host's heartbeat on a bus, for all drives that supervise it."""
+    names = stated.declaration.names(bench.motor.model.unit)
+    address = stated.values.get("node_id")
+    if _HEARTBEAT not in names or _HOST not in names or not isinstance(address, int):
+        return
+    period_ms = stated.values.get(_HEARTBEAT, stated.declaration.defaults.get(names[_HEARTBEAT]))
+    if not isinstance(period_ms, int) or not period_ms:
+        return
+    other_ms = 2 * period_ms
+    changed = {"node_id": address + _ASIDE, _HEARTBEAT: other_ms}
+    second = bench.build({**stated.values, **changed})
+    error = failure_of(second.enable)
+    second.close()
+    is_told = all(f"{one} ms" in f"{error}" for one in (period_ms, other_ms))
+    expect(
+        isinstance(error, UsageError) and is_told,
+        f"the host's heartbeat is sent every {period_ms} ms; a second drive that wants it every"
+        f" {other_ms} ms: {error}; expected UsageError with both",
+    )
 
 
 def _expect_defaults(kind: Callable[..., Any], stated: Stated) -> None:
