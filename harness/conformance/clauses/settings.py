@@ -258,25 +258,29 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
         _expect_defaults(type(hardware), stated)
         _expect_shared(bench, motor, hardware, stated)
         _expect_addresses(bench, motor, hardware, stated)
-        _expect_one_heartbeat(bench, stated)
+        _expect_one_heartbeat(bench, hardware, stated)
     motor.enable()
     expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
 
 
-def _expect_one_heartbeat(bench: RigProtocol, stated: Stated) -> None:
+def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> None:
     """Expect one period of the host's heartbeat on a bus, for all drives that supervise it."""
     names = stated.declaration.names(bench.motor.model.unit)
-    address = stated.values.get("node_id")
-    if _HEARTBEAT not in names or _HOST not in names or not isinstance(address, int):
+    needed = {Ability.SECOND_MOTOR, Ability.SOLE_USER}
+    if not {_HEARTBEAT, _HOST}.issubset(names) or not needed.issubset(bench.abilities):
         return
+    second = bench.motors[1]
+    with second.low_level() as found:
+        other: Any = found
     period_ms = stated.values.get(_HEARTBEAT, stated.declaration.defaults.get(names[_HEARTBEAT]))
-    if not isinstance(period_ms, int) or not period_ms:
+    address, own = (getattr(one, "node_id", None) for one in (other, hardware))
+    if not isinstance(period_ms, int) or not period_ms or address in (None, own):
         return
-    other_ms = 2 * period_ms
-    changed = {"node_id": address + _ASIDE, _HEARTBEAT: other_ms}
-    second = bench.build({**stated.values, **changed})
-    error = failure_of(second.enable)
     second.close()
+    other_ms = 2 * period_ms
+    built = bench.build({**stated.values, "node_id": address, _HEARTBEAT: other_ms})
+    error = failure_of(built.enable)
+    built.close()
     is_told = all(f"{one} ms" in f"{error}" for one in (period_ms, other_ms))
     expect(
         isinstance(error, UsageError) and is_told,
