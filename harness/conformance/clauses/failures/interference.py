@@ -147,7 +147,7 @@ def _expect_group_beside_clock(bench: RigProtocol, way: float, period_s: float) 
             most_s = period_s if can.level >= SyncLevel.TRIGGERED else inf
         expect(
             found_s is None or found_s <= most_s,
-            f"beside another program's clock, commands were {found_s} s apart; told were {most_s} s",
+            f"beside another program's clock, commands were {found_s} s apart; told: {most_s} s",
         )
 
 
