@@ -218,7 +218,6 @@ def _expect_interrupted(bench: RigProtocol, hardware: Any) -> None:
     if failure_of(hardware.disable) is not None:
         return
     error = failure_of(partial(finish, bench, motor, _SLOW * shortest_s(motor, way)))
-    expect(error is not None, "the hardware object was disabled in a motion, which is then done")
     state = getattr(getattr(hardware, "state", None), "value", "")  # CiA 402-2, in words
     is_told = f"{state}" in f"{error}" or not isinstance(error, MotionInterrupted)
     expect(is_told, f"{error}; expected the state of the drive, {state!r}")

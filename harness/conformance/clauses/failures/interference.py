@@ -165,7 +165,9 @@ def _expect_stop_before_signal(bench: RigProtocol, way: float) -> None:
             error = failure_of(group.start)
             expect(party.join(_HEARD_S) and party.error is None, f"stop(): {party.error!r}")
             what = f"stop() {share * _SELDOM_S:g} s into a start, which waits for a clock signal"
-            is_told = error is None or isinstance(error, MotionInterrupted)
+            if isinstance(error, UsageError):
+                return  # they stream, with another period
+            is_told = error is None or "stop()" in f"{error}"
             expect(is_told, f"{what}: {error!r}; expected the end of the start by the stop")
             for motor in group:
                 finish(bench, motor)
