@@ -47,6 +47,7 @@ from motorhil.motorapi import (
     UnsupportedError,
     UsageError,
 )
+from motorhil.motorapi.hooks import implements
 
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -54,6 +55,8 @@ _GROUP_S: Final = 10.0
 _GROUP_TIMEOUT_S: Final = 0.5
 _BRAKES_S: Final = 0.03
 _PHASE: Final = Synchronization.PHASE
+_STRIKES: Final = 30  # attempts of one frame, a few milliseconds in all; 32 end in bus-off
+_LATE_S: Final = 0.004
 
 
 @clause(
@@ -386,6 +389,57 @@ def common_stop_stays_on_path(bench: RigProtocol) -> None:
     skew_s = late_s + (group.sync_capability().start_skew_s or late_s) + 0.002
     allowed = 3.0 * bench.facts.following + skew_s * bench.motor.model.velocity_max
     expect(worst <= allowed, f"stopped together, but {worst:.6g} off the line; limit {allowed:.6g}")
+    if {Ability.BUS_ERRORS, Ability.AFRESH}.issubset(bench.abilities):
+        _expect_one_stop_signal(bench)
+
+
+def _expect_one_stop_signal(bench: RigProtocol) -> None:
+    """Expect one signal to stop all members, if their hooks say so, whichever frame is late.
+
+    The members change places for a second stop, so that a difference of the motors cancels out.
+    """
+    if not all(implements(motor, "_stop_with_others") for motor in bench.motors[:2]):
+        return
+    late = []
+    for order in (1, -1):
+        bench.afresh()
+        found = _late_at_stop(bench, MotorGroup(*bench.motors[:2][::order]), order)
+        if found is None:
+            return  # a slow bus: a stop does not wait for so long
+        late.append(found)
+    model, (early_s, late_s) = bench.motor.model, bench.facts.latency_s
+    spare = 0.5 * (late_s - early_s) * model.velocity_max + bench.facts.following
+    expect(
+        0.5 * sum(late) <= spare,
+        f"one signal stops all members, but the second one, whose frame is late, goes on for"
+        f" {0.5 * sum(late):.6g} {model.unit}; limit {spare:.6g} {model.unit}",
+    )
+
+
+def _late_at_stop(bench: RigProtocol, group: MotorGroup, order: int) -> float | None:
+    """Stop a group while the frames of its second member are repeated.
+
+    Returns:
+        How far this member moves on beyond its share of the way [U], or None if the frames take
+        longer than a stop waits for them.
+    """
+    way = order * half_move(bench)
+    ways = (-1.2 * way, 4.0 * way)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*trajectories_of(*ways))
+    group.synchronization, group.fault_reaction = _PHASE, FaultReaction.TOGETHER
+    before = [position_of(bench, motor) for motor in group]
+    group.start()
+    rest_for(bench, midway_s(group[1], ways[1], 0.4))
+    with bench.strike(None, _STRIKES, skip=1) as struck:
+        group.stop()
+        is_soon = bench.runtime.wait_until(lambda: struck() >= _STRIKES, _LATE_S)
+        group.wait_until_done(_GROUP_S)
+    first, second = (
+        (position_of(bench, motor) - was) / its
+        for motor, was, its in zip(group, before, ways, strict=True)
+    )
+    return (second - first) * abs(ways[1]) if is_soon else None
 
 
 @clause(

@@ -34,6 +34,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     shortest_s,
     smooth_move,
     speed,
+    torque_of,
     trajectories_of,
 )
 from motorhil.harness.conformance.clauses.tracks import (
@@ -47,6 +48,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
+    ControlVariable,
     DerivativeLimits,
     FaultReaction,
     LinkError,
@@ -83,6 +85,7 @@ _FAST_BIT_S = 1_000_000
 _FRAMES_S = 0.02
 _SLOWLY = 0.1  # of the largest velocity
 _FIRST = 0.01  # of a streamed move: it has begun
+_LITTLE = 0.05  # of the largest torque
 _FAR = 1e-6  # U: two skews that are not meant to differ
 _INSTANTS = 400  # of a pair of profiles
 
@@ -243,6 +246,33 @@ def unequal_ends_are_reported(bench: RigProtocol) -> None:
             found_s is None or abs(found_s - true_s) <= most_s,
             f"end skew: {found_s} s {what}; the motors ended {true_s:.6f} s apart",
         )
+    _expect_ends_of_torques(bench, group)
+
+
+def _expect_ends_of_torques(bench: RigProtocol, group: MotorGroup) -> None:
+    """Expect the ends of torque ramps to be predicted as far apart as the ramps say."""
+    torque, durations_s = ControlVariable.TORQUE, (0.2, 0.5)
+    if any(one.model.torque_max is None for one in group):
+        return
+    try:
+        group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY, torque)
+        group.set_trajectory(
+            *(
+                TrapezoidalTrajectory(torque_of(one, _LITTLE), duration_s=lasts_s)
+                for one, lasts_s in zip(group, durations_s, strict=True)
+            )
+        )
+        group.start()
+    except UnsupportedError:
+        return
+    found_s = group.sync_quality().predicted_end_skew_s
+    group.stop()
+    finish_group(bench, group)
+    wanted_s = durations_s[1] - durations_s[0]
+    expect(
+        abs(found_s - wanted_s) <= bench.facts.time_tolerance_s,
+        f"torque ramps of {durations_s} s: end skew of {found_s:g} s predicted",
+    )
 
 
 @clause(
@@ -283,6 +313,8 @@ def _lead_s(bench: RigProtocol, order: int) -> tuple[float, float]:
     group.start()
     finish_group(bench, group)
     track.end()
+    apart = group.sync_quality().straddles
+    expect(apart == 0, f"started by one signal, but {apart} signals are told between the commands")
     first, second = (track.when(member, BEGUN, way) for member in (0, 1))
     expect(first is not None and second is not None, "not all members began")
     return ((second or 0.0) - (first or 0.0)) / 1e9, most_s
@@ -492,6 +524,25 @@ def start_requirement_is_met_or_refused(bench: RigProtocol) -> None:
     expect_group_moved(
         bench, group, before, (way, -way), "with the reported capability as requirement"
     )
+    _expect_level_of_velocities(bench, group)
+
+
+def _expect_level_of_velocities(bench: RigProtocol, group: MotorGroup) -> None:
+    """Expect velocities that one signal has started to be told as such beforehand."""
+    speeds = [_SLOWLY * one.model.velocity_max for one in group]
+    try:
+        group.for_each(Motor.set_control_mode, ControlMode.SETPOINT, ControlVariable.VELOCITY)
+        for one, speed_of in zip(group, speeds, strict=True):
+            one.set_setpoint(speed_of)
+        can = group.sync_capability()
+        group.start()
+    except UnsupportedError:
+        return
+    found_s = group.sync_quality().command_skew_s
+    group.stop()
+    finish_group(bench, group)
+    is_one = found_s == 0.0 and can.level < SyncLevel.TRIGGERED
+    expect(not is_one, f"one signal has started velocities, but the capability was {can}")
 
 
 def _expect_bound_of_frames(bench: RigProtocol, group: MotorGroup) -> None:

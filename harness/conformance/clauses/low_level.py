@@ -31,6 +31,7 @@ from motorhil.harness.conformance.clauses.helpers import (
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DerivativeLimits,
+    MotionInterrupted,
     Motor,
     MotorBusyError,
     MotorError,
@@ -208,6 +209,23 @@ def hardware_object_does_what_it_is_told(bench: RigProtocol) -> None:
         stop = getattr(hardware, name, None)
         if stop is not None:
             _expect_stopped(bench, f"{name}() of the hardware object", stop)
+    _expect_interrupted(bench, hardware)
+
+
+def _expect_interrupted(bench: RigProtocol, hardware: Any) -> None:
+    """Expect that a drive which is switched off in a motion is told as such, with its state."""
+    motor, way = bench.motor, 2.0 * long_move(bench)
+    motor.enable()
+    follow(motor, TrapezoidalTrajectory(way))
+    rest_for(bench, midway_s(motor, way, 0.3))
+    if failure_of(hardware.disable) is not None:
+        return
+    error = failure_of(partial(finish, bench, motor, _SLOW * shortest_s(motor, way)))
+    state = getattr(getattr(hardware, "state", None), "value", "")  # CiA 402-2, in words
+    is_told = f"{state}" in f"{error}" or not isinstance(error, MotionInterrupted)
+    expect(is_told, f"{error}; expected the state of the drive, {state!r}")
+    motor.stop()
+    finish(bench, motor)
 
 
 def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -> None:

@@ -49,6 +49,27 @@ _PERIOD_MS: Final = 95
 _PDO_LENGTH: Final = 0x8210  # CiA 301, EMCY: PDO not processed due to length error
 _FIRST_RPDO: Final = 0x200  # CiA 301, predefined connection set
 _RAMP_S: Final = 0.5
+_NAMES: Final = {  # CiA 402-2: factors, and others that many drives lack
+    "velocity_factor_numerator": (0x6096, 1),
+    "velocity_factor_divisor": (0x6096, 2),
+    "acceleration_factor_numerator": (0x6097, 1),
+    "acceleration_factor_divisor": (0x6097, 2),
+    "vl_target_velocity": (0x6042, 0),
+    "position_range_limit_min": (0x607B, 1),
+    "position_range_limit_max": (0x607B, 2),
+    "end_velocity": (0x6082, 0),
+    "motion_profile_type": (0x6086, 0),
+    "torque_profile_type": (0x6088, 0),
+    "interpolation_sub_mode": (0x60C0, 0),
+    "interpolation_data": (0x60C1, 1),
+    "max_acceleration": (0x60C5, 0),
+    "max_deceleration": (0x60C6, 0),
+    "digital_outputs": (0x60FE, 1),
+    "motor_type": (0x6402, 0),
+}
+_NO_GAIN: Final = 41  # a sub-index of 60F9h that no drive has
+_VELOCITY_TPDO, _VELOCITY_MAP, _VELOCITY = 0x1801, 0x1A01, 0x606C  # CiA 301, TPDO 2; CiA 402-2
+_INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
 
 
 def _parameters_of(motor: Motor) -> tuple[Any, Callable[[Any], None]]:
@@ -221,6 +242,13 @@ def _expect_refusals(motor: Motor, kind: Any, set_parameters: Callable[[Any], No
             set_parameters(kind(**{name: value}))
             what = f"a start with {name} = {value:g} was accepted"
             expect_raises(LimitError, motor.start, what)
+    if hasattr(kind(), "velocity_gains"):
+        set_parameters(kind(velocity_gains=(*(None,) * (_NO_GAIN - 1), 1)))
+        error = failure_of(motor.start)
+        expect(
+            isinstance(error, UnsupportedError) and f"60F9h:{_NO_GAIN}" in f"{error}",
+            f"a start with gain {_NO_GAIN} of velocity: {error}; expected 60F9h:{_NO_GAIN} named",
+        )
     set_parameters(kind())
 
 
@@ -334,6 +362,9 @@ def _expect_objects(hardware: Any) -> None:
     expect(period == _PERIOD_MS, f"1017h is {period}; canopen's client wrote {_PERIOD_MS}")
     by_name = hardware.read("device_type")
     expect(by_name == hardware.read(_DEVICE_TYPE), f"device_type is {by_name:X}h")
+    for name, (index, subindex) in _NAMES.items():
+        told = [failure_of(partial(hardware.read, *one)) for one in ((name,), (index, subindex))]
+        expect(f"{told[0]}" == f"{told[1]}", f"read() of {name}: {told[0]}; by index: {told[1]}")
     node = hardware.node.node_id
     with hardware.listen(0x580 + node) as inbox:
         hardware.send_frame(0x600 + node, bytes.fromhex("40 00 10 00 00 00 00 00"))

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import groupby, pairwise
 from math import copysign
-from typing import Final
+from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
@@ -56,6 +56,7 @@ _SOURCE: Final = "requirement 4 of the paper; Sharing and locking: one owner, of
 _PATIENCE_S: Final = 10.0
 _LEASE_S: Final = 0.2
 _SLOW: Final = 2.0
+_DEVICE_TYPE: Final = 0x1000  # CiA 301
 _WATCHED_S: Final = 0.3
 _LINGER_S: Final = 0.1
 _ROUNDS: Final = 2
@@ -356,8 +357,19 @@ def waiting_program_gets_motor_in_turn(bench: RigProtocol) -> None:
         expect(not served, f"{other.name} got the motor in low-level access of another program")
     with motor.reserve("after it", timeout_s=_PATIENCE_S):
         expect(served == [other.name], "the motor was not given to the program that asked first")
+        _expect_objects_are_read(other)
     expect(party.join(_PATIENCE_S) and party.error is None, f"{other.name}: {party.error!r}")
     expect_moved(bench, motor, before, 2.0 * way, f"moved by {motor.name}, then {other.name}")
+
+
+def _expect_objects_are_read(stranger: Motor) -> None:
+    """Expect a program to read objects of a CANopen node that another program owns."""
+    hardware: Any = getattr(stranger, "hardware", None)
+    if not all(hasattr(hardware, name) for name in ("upload", "sdo")):
+        return
+    with hardware.sdo() as client:
+        found = client.upload(_DEVICE_TYPE, 0)
+    expect(found == hardware.upload(_DEVICE_TYPE), f"1000h of another program's drive: {found!r}")
 
 
 @clause(

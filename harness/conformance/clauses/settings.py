@@ -94,6 +94,7 @@ _SETTLED_S: Final = 0.5
 _UP: Final = 1.25
 _FURTHER: Final = 0x20
 _ASIDE: Final = 16
+_HEARTBEAT, _HOST = "heartbeat_ms", "host_node_id"
 
 
 def _stated(bench: RigProtocol) -> Stated:
@@ -287,8 +288,35 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
         _expect_defaults(type(hardware), stated)
         _expect_shared(bench, motor, hardware, stated)
         _expect_addresses(bench, motor, hardware, stated)
+        _expect_one_heartbeat(bench, hardware, stated)
     motor.enable()
     expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
+
+
+def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> None:
+    """Expect one period of the host's heartbeat on a bus, for all drives that supervise it."""
+    names = stated.declaration.names(bench.motor.model.unit)
+    needed = {Ability.SECOND_MOTOR, Ability.SOLE_USER}
+    if not {_HEARTBEAT, _HOST}.issubset(names) or not needed.issubset(bench.abilities):
+        return
+    second = bench.motors[1]
+    with second.low_level() as found:
+        other: Any = found
+    period_ms = stated.values.get(_HEARTBEAT, stated.declaration.defaults.get(names[_HEARTBEAT]))
+    address, own = (getattr(one, "node_id", None) for one in (other, hardware))
+    if not isinstance(period_ms, int) or not period_ms or address in (None, own):
+        return
+    second.close()
+    other_ms = 2 * period_ms
+    built = bench.build({**stated.values, "node_id": address, _HEARTBEAT: other_ms})
+    error = failure_of(built.enable)
+    built.close()
+    is_told = all(f"{one} ms" in f"{error}" for one in (period_ms, other_ms))
+    expect(
+        isinstance(error, UsageError) and is_told,
+        f"the host's heartbeat is sent every {period_ms} ms; a second drive that wants it every"
+        f" {other_ms} ms: {error}; expected UsageError with both",
+    )
 
 
 def _expect_defaults(kind: Callable[..., Any], stated: Stated) -> None:

@@ -4,10 +4,12 @@ Each loss happens in the middle of each kind of motion. The rig declares the tim
 `dead_man_s` and `brake_s`.
 """
 
+import re
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from functools import partial
 from itertools import product
+from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
@@ -32,6 +34,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     move,
     move_through,
     position_of,
+    prepare,
     reached,
     rest_for,
     shortest_s,
@@ -368,6 +371,7 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
                     f"{what}: moved by {moved:g}, position() by {made:g}; expected an error",
                 )
             lost += count()
+        _expect_state_in_words(error, what)
         is_open = isinstance(error, DeadlineExceeded) and error.awaited.startswith("end of motion")
         expect(
             not is_open,
@@ -379,6 +383,55 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         rest_for(bench, until_rest_s(bench, motor) + _BACK_S)
         expect_usable(bench, motor, what)
     reached(lost > 0, "the loss of a frame")
+    for identifier in sorted(seen):
+        bench.afresh()
+        bench.motor.enable()
+        _expect_start_is_told(bench, bench.motor, identifier)
+
+
+def _expect_start_is_told(bench: RigProtocol, motor: Motor, identifier: int) -> None:
+    """Start a motor without its frames of one identifier; check the error's words, and the state.
+
+    A CiA 402 drive can be asked for its statusword. So its state is true, or unknown, after a fault
+    that none of these frames could tell.
+    """
+    way, what = 0.1 * long_move(bench), f"all frames {identifier:03X}h lost"
+    with bench.lose_identifier(identifier):
+        rest_for(bench, bench.facts.lost_s)
+        prepare(motor, way)
+        _expect_state_in_words(failure_of(motor.start), what)
+        rest_for(bench, until_rest_s(bench, motor))
+        can_be_asked = hasattr(getattr(motor, "hardware", None), "statusword")
+        if can_be_asked and Ability.FAULT in bench.abilities:
+            bench.fail(motor)
+            rest_for(bench, _BACK_S)
+            with suppress(MotorError):
+                state = motor.state()
+                is_true = state in (MotorState.FAULT, MotorState.OFFLINE)
+                expect(is_true, f"{what}, and the drive failed: state() is {state.value}")
+
+
+def _expect_state_in_words(error: MotorError | None, what: str) -> None:
+    """Expect an error that tells a statusword of CiA 402 to tell its state in the same words."""
+    for word, name in _STATUSWORD.findall(f"{error}"):
+        states = [one for mask, value, one in _STATES if int(word, 16) & mask == value]
+        expect(
+            name in states or not states,
+            f"{what}: {error}; expected statusword {word}h as {' or '.join(states)}",
+        )
+
+
+_STATUSWORD: Final = re.compile(r"statusword ([0-9A-F]{4})h \(([^)]*)\)")
+_STATES: Final = (  # CiA 402-2, 6041h: mask, value, state
+    (0x4F, 0x00, "not ready to switch on"),
+    (0x4F, 0x40, "switch on disabled"),
+    (0x6F, 0x21, "ready to switch on"),
+    (0x6F, 0x23, "switched on"),
+    (0x6F, 0x27, "operation enabled"),
+    (0x6F, 0x07, "quick stop active"),
+    (0x4F, 0x0F, "fault reaction active"),
+    (0x4F, 0x08, "fault"),
+)
 
 
 def _is_told(bench: RigProtocol, motor: Motor, expected_s: float) -> bool:

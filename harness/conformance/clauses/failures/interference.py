@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
+from math import inf
 from typing import Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -40,12 +41,16 @@ from motorhil.motorapi import (
     LinkError,
     MotionInterrupted,
     Motor,
+    MotorGroup,
     MotorState,
+    SyncLevel,
     TrapezoidalTrajectory,
     UsageError,
 )
 
 _SIGNALS: Final = 10
+_SELDOM_S: Final = 0.1  # between two signals, so that a start waits for one
+_STRAY: Final = 0.42  # periods until a single further signal
 _HEARD_S: Final = 0.3
 _OVERLOADS: Final = (3.0, 20.0)  # of the largest torque
 _GIVES_UP_S: Final = 3.0
@@ -93,12 +98,26 @@ def clock_of_another_program_is_followed(bench: RigProtocol) -> None:
             finish(bench, motor)
             expect_moved(bench, motor, before, way, "clocked by another program")
         if Ability.SECOND_MOTOR in bench.abilities:
-            group = pair_of(bench, way, way)
-            places = positions_of(bench, group)
-            group.start()
-            finish_group(bench, group)
-            expect_group_moved(bench, group, places, (way, way), "clocked by another program")
+            _expect_group_beside_clock(bench, way, period_s)
         expect(not own_ns, f"beside another producer, the host sent {len(own_ns)} clock signals")
+    if Ability.SECOND_MOTOR in bench.abilities:
+        bench.afresh()
+        with bench.another_clock(period_s):
+            rest_for(bench, _HEARD_S)
+            pair_of(bench, way, way).for_each(Motor.enable)
+            _expect_group_beside_clock(bench, way, period_s)
+        _expect_stop_before_signal(bench, way)
+    bench.afresh()
+    motor = bench.motor
+    with bench.another_clock(period_s):
+        rest_for(bench, _HEARD_S)
+        motor.enable()
+        before = bench.true_position(motor)
+        with bench.another_clock(_STRAY * period_s):
+            rest_for(bench, 1.1 * _STRAY * period_s)
+        follow(motor, smooth_move(motor, way))
+        finish(bench, motor)
+        expect_moved(bench, motor, before, way, "clocked by another program, once irregularly")
     bench.afresh()
     motor = bench.motor
     with bench.another_clock(2.0 * period_s):
@@ -113,6 +132,52 @@ def clock_of_another_program_is_followed(bench: RigProtocol) -> None:
         )
         rest_for(bench, _HEARD_S)
         expect_unmoved(bench, motor, before, "refused for the period of another program's clock")
+
+
+def _expect_group_beside_clock(bench: RigProtocol, way: float, period_s: float) -> None:
+    """Start groups beside another program's clock; check that their skew is as told."""
+    group = pair_of(bench, way, way)
+    for _ in range(2):
+        places, can = positions_of(bench, group), group.sync_capability()
+        group.start()
+        finish_group(bench, group)
+        expect_group_moved(bench, group, places, (way, way), "clocked by another program")
+        found_s = group.sync_quality().command_skew_s
+        most_s = can.command_skew_s
+        if most_s is None:  # of the other program's frames, nothing is declared
+            most_s = period_s if can.level >= SyncLevel.TRIGGERED else inf
+        expect(
+            found_s is None or found_s <= most_s,
+            f"beside another program's clock, commands were {found_s} s apart; told: {most_s} s",
+        )
+
+
+def _expect_stop_before_signal(bench: RigProtocol, way: float) -> None:
+    """Expect a stop of a group that waits for its signal to end the start, as what it is."""
+    bench.afresh()
+    group = pair_of(bench, way, way)
+    with bench.another_clock(_SELDOM_S):
+        rest_for(bench, 8.0 * _SELDOM_S)
+        if isinstance(failure_of(partial(group.for_each, Motor.enable)), UsageError):
+            return  # they use a clock signal at rest, of another period
+        for share in (0.3, 0.6, 0.9, 1.2):
+            stop = partial(_stop_after, bench, group, share * _SELDOM_S)
+            party = bench.runtime.spawn("stop", stop)
+            error = failure_of(group.start)
+            expect(party.join(_HEARD_S) and party.error is None, f"stop(): {party.error!r}")
+            what = f"stop() {share * _SELDOM_S:g} s into a start, which waits for a clock signal"
+            if isinstance(error, UsageError):
+                return  # they stream, with another period
+            is_told = error is None or "stop()" in f"{error}"
+            expect(is_told, f"{what}: {error!r}; expected the end of the start by the stop")
+            for motor in group:
+                finish(bench, motor)
+                expect_rest(bench, motor, what)
+
+
+def _stop_after(bench: RigProtocol, group: MotorGroup, time_s: float) -> None:
+    rest_for(bench, time_s)
+    group.stop()
 
 
 def _enabled_stream(motor: Motor, way: float) -> None:

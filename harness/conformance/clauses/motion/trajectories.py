@@ -184,7 +184,9 @@ def complex_trajectory_is_followed(bench: RigProtocol) -> None:
     if model.jerk_max is not None:
         size = min(size, 0.04 * model.jerk_max)  # 195.6 of it by the time cubed
     motor.enable()
-    follow(motor, TrapezoidalTrajectory(0.2 * size))
+    begin = motor.position()
+    place = begin + 0.2 * size
+    follow(motor, TrapezoidalTrajectory(place, initial=begin))
     finish(bench, motor, shortest_s(motor, size))
     # A hump, 16 s^2 (1 - s)^2, on a smooth step, 3 s^2 - 2 s^3, of 0.3: at rest at both ends.
     # It begins at 0.7: relative, only the differences count.
@@ -200,8 +202,16 @@ def complex_trajectory_is_followed(bench: RigProtocol) -> None:
         return size * (16.0 * (s * (1.0 - s)) ** 2 + 0.3 * s**2 * (3.0 - 2.0 * s))
 
     expect_tracks(bench, samples, wanted, "a complex trajectory")
+    _expect_way_back(bench, motor, place)
     straight = trapezoid(wanted(duration_s), duration_s, model.acceleration_max, model.deceleration)
     reached(worst_deviation(bench, samples, straight) > bench.facts.following, "a curved motion")
+
+
+def _expect_way_back(bench: RigProtocol, motor: Motor, place: float) -> None:
+    """Expect a move to the place of the last one to be made, although others were in between."""
+    follow(motor, TrapezoidalTrajectory(place, initial=motor.position()))
+    finish(bench, motor, shortest_s(motor, long_move(bench)))
+    expect_at(bench, motor, place, "back where it was before a complex trajectory")
 
 
 @clause(
