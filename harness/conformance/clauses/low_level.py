@@ -255,7 +255,7 @@ def _expect_stopped(bench: RigProtocol, what: str, stop: Callable[[], object]) -
 
 
 @clause(
-    "LOW-23",
+    "LOW-12",
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
     bench={Ability.LOSE},
@@ -282,7 +282,7 @@ def statistics_are_right_in_words(bench: RigProtocol) -> None:
 
 
 @clause(
-    "LOW-24",
+    "LOW-13",
     Level.L2,
     needs={Capability.LOW_LEVEL},
     source="MODBUS Application Protocol, section 7: exceptions; errors carry their facts in words",
@@ -311,7 +311,7 @@ def refused_register_is_named(bench: RigProtocol) -> None:
 
 
 @clause(
-    "LOW-21",
+    "LOW-10",
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.POSITION_TRAJECTORY},
     bench={Ability.SECOND_MOTOR, Ability.TRAFFIC},
@@ -340,7 +340,7 @@ def low_level_access_is_not_disturbed_by_neighbour(bench: RigProtocol) -> None:
 
 
 @clause(
-    "LOW-22",
+    "LOW-11",
     Level.L2,
     needs={Capability.LOW_LEVEL},
     source="Motor.low_level: StateError; errors: what to do is in the message",

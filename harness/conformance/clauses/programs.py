@@ -151,7 +151,7 @@ def program_leaves_motor_of_other_program_alone(bench: RigProtocol) -> None:
 
 
 @clause(
-    "PROC-21",
+    "PROC-18",
     Level.L3,
     needs=_MOVES,
     bench={*_TWO, Ability.SECOND_MOTOR},

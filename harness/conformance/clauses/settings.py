@@ -504,7 +504,7 @@ def _expect_true(bench: RigProtocol, what: str, is_word: bool) -> None:
 
 
 @clause(
-    "OPT-23",
+    "OPT-08",
     Level.L0,
     bench={Ability.SETTINGS},
     source="requirement 1: the facts of hardware are settings; its maker's range of addresses",
@@ -531,7 +531,7 @@ def addresses_end_where_those_of_drive_do(bench: RigProtocol) -> None:
 
 
 @clause(
-    "OPT-22",
+    "OPT-07",
     Level.L0,
     needs={Capability.VELOCITY_SET_POINT},
     bench={Ability.SETTINGS, Ability.TRUTH, Ability.LOAD},

@@ -528,7 +528,7 @@ def _expect_cut_short(motor: Motor, what: str) -> None:
 
 
 @clause(
-    "CLOSE-21",
+    "CLOSE-04",
     Level.L3,
     bench={Ability.SOLE_USER, Ability.ONE_PROGRAM},
     source="Device.close: releases the device; motorapi.bus_context: what is kept for one bus",

@@ -605,7 +605,7 @@ def _frames_of(
 
 
 @clause(
-    "TIME-21",
+    "TIME-06",
     Level.L4,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.SETTINGS, Ability.ONE_KIND},

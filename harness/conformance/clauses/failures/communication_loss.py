@@ -225,7 +225,7 @@ def command_to_lost_drive_is_never_executed_later(bench: RigProtocol) -> None:
 
 
 @clause(
-    "LOST-21",
+    "LOST-14",
     Level.L5,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.CUT},

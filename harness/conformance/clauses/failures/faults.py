@@ -717,7 +717,7 @@ def lost_motor_is_referenced_only_if_it_knows(bench: RigProtocol) -> None:
 
 
 @clause(
-    "HOME-21",
+    "HOME-06",
     Level.L2,
     source="Motor.is_referenced: position 0 is that of the model; [conformance] absolute_encoder",
 )
@@ -732,7 +732,7 @@ def motor_is_referenced_at_first_if_absolute(bench: RigProtocol) -> None:
 
 
 @clause(
-    "HOME-22",
+    "HOME-07",
     Level.L5,
     needs={Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH, Ability.RESTART, Ability.LOSE, Ability.AFRESH},

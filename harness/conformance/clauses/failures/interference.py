@@ -262,7 +262,7 @@ def motion_stopped_by_another_program_is_not_done(bench: RigProtocol) -> None:
 
 
 @clause(
-    "OTHER-21",
+    "OTHER-02",
     Level.L5,
     needs={Capability.POSITION_TRAJECTORY, Capability.FAULTS},
     bench={Ability.OTHER_PROGRAM, Ability.FAULT},

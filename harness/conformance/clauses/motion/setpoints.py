@@ -112,7 +112,7 @@ def velocity_setpoint_is_reached_and_kept(bench: RigProtocol) -> None:
 
 
 @clause(
-    "SET-21",
+    "SET-12",
     Level.L1,
     needs={Capability.VELOCITY_SET_POINT},
     bench={Ability.TRUTH, Ability.LOAD},
@@ -144,7 +144,7 @@ def slow_velocity_is_controlled_or_refused(bench: RigProtocol) -> None:
 
 
 @clause(
-    "SET-22",
+    "SET-13",
     Level.L1,
     needs={Capability.VELOCITY_SET_POINT},
     bench={Ability.SETTINGS, Ability.TRUTH},
@@ -175,7 +175,7 @@ def velocity_beyond_numbers_of_drive_is_not_done(bench: RigProtocol) -> None:
 
 
 @clause(
-    "SET-23",
+    "SET-14",
     Level.L1,
     needs={Capability.TORQUE_SET_POINT, Capability.MEASURED_TORQUE},
     source="paper 3.3, Figure 4; Motor.torque: measured torque [N·m], or force [N]",

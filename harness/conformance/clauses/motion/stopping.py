@@ -58,7 +58,7 @@ _GENTLE: Final = 0.2  # of the limits
 
 
 @clause(
-    "STOP-21",
+    "STOP-12",
     Level.L2,
     needs={Capability.POSITION_SET_POINT, Capability.POSITION_TRAJECTORY},
     bench={Ability.TRUTH},

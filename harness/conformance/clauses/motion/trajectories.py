@@ -627,7 +627,7 @@ def failing_argument_ends_the_motion(bench: RigProtocol) -> None:
 
 
 @clause(
-    "TRAJ-21",
+    "TRAJ-15",
     Level.L1,
     needs={Capability.COMPLEX_POSITION},
     source="paper 3.3.1, complex trajectories; errors: PluginError; Motor.wait_until_done",
