@@ -114,6 +114,7 @@ OTHERS_ONCE_ACCUSED = [
     ("oriental_az", "AZ drive keeps its trigger", "PROC-14"),  # it ignored the stop of a program
     ("leadshine", "Leadshine drive options", "MEAS-06"),  # held by a limit switch
     ("leadshine", "Leadshine drive options", "SYNC-09"),  # told late, it stopped where it arrives
+    ("cia402", APART, "LEAD-05"),  # its leader was the same drive, in another program
     ("cia402", READ, "LOST-03"),  # the set-up by a reader hid the loss from the owner,
     ("software", "reversing gear", "PROC-16"),  # its program commands it at rest, but not at first
     ("software", READ, "LOST-12"),  # and made a motion done that it had ended

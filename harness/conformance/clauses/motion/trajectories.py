@@ -780,7 +780,7 @@ def step_of_argument_is_refused_truly(bench: RigProtocol) -> None:
     "LEAD-05",
     Level.L1,
     needs={Capability.COMPLEX_POSITION},
-    bench={Ability.TRUTH, Ability.SECOND_MOTOR, Ability.SEVERAL_USERS},
+    bench={Ability.TRUTH, Ability.SECOND_MOTOR, Ability.SEVERAL_USERS, Ability.ONE_PROGRAM},
     source="MotorPosition; StateError: motor, state, remedy; nothing was sent",
 )
 def motor_that_leads_itself_is_refused(bench: RigProtocol) -> None:
