@@ -166,6 +166,11 @@ class ConformanceTable:
         Items(TablesByKey(_AsTheDrive()), shown="[{ firmware_major = 5 }]"),
         "Settings of the emulated drive, each with which the adaptation must refuse it.",
     )
+    slow: Mapping[str, object] = setting(
+        {},
+        TablesByKey(_AsTheDrive()),
+        "Settings of the emulated drive with which it is not enabled in time; absent: none known.",
+    )
     claims: tuple[str, ...] = setting(
         (),
         Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
@@ -222,6 +227,7 @@ class Facts:
         homing_fails: settings of the emulated drive with which that method fails; or none.
         home_offset_is_opposite: True if home is at +607Ch, against CiA 402-2.
         unfit: settings of the emulated drive, each with which the adaptation must refuse it.
+        slow: settings of the emulated drive with which it is not enabled in time; or none.
         claims: the capabilities claimed by the rig.
         claimed_at: where the rig claims them, "file:line".
         without: the capabilities that are not claimed, and why.
@@ -249,6 +255,7 @@ class Facts:
     homing_fails: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     home_offset_is_opposite: bool = False
     unfit: tuple[Mapping[str, object], ...] = ()
+    slow: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -301,6 +308,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         homing_fails=own.homing_fails,
         home_offset_is_opposite=own.home_offset_is_opposite,
         unfit=own.unfit,
+        slow=own.slow,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=MappingProxyType({_BY_KEY[name]: why for name, why in own.without.items()}),

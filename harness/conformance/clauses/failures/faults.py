@@ -156,6 +156,13 @@ def fault_prevents_start_and_enable(bench: RigProtocol) -> None:
         rest_for(bench, 0.25)
     expect_unmoved(bench, motor, before, "started with a fault")
     expect_state(motor, MotorState.FAULT, "started with a fault")
+    motor.reset_fault()
+    motor.disable()
+    bench.fail(motor)  # nobody has heard of it when the motor is enabled
+    error = failure_of(motor.enable)
+    expect(error is None or isinstance(error, DeviceFault), f"enable() with a new fault: {error!r}")
+    if error is None:  # some drives fail only later
+        expect_state(motor, MotorState.ENABLED, "enable() with a new fault returned")
 
 
 @clause(
