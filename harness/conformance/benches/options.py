@@ -71,7 +71,8 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         " home_from_rad = 300.0, home_to_rad = 301.0, index_rad = 0.3 }",
     ),
     "servo drive options": of_controller(
-        "dynamixel", "boot_up_s = 0.3\nturn_round_s = 0.0001\nfirmware = 46"
+        "dynamixel",
+        "boot_up_s = 0.3\nturn_round_s = 0.0001\nfirmware = 46\nmodel_information = 0x0102_0304",
     ),
     "Leadshine drive options": of_controller(
         "leadshine_pr",
