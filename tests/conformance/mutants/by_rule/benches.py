@@ -22,7 +22,7 @@ VARIED: Final = {
     "cia402": (
         *("motor options", "lost host disables", "units of the drive + reversing gear"),
         *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
-        "two buses with equal node-IDs",
+        *("two buses with equal node-IDs", "identifiers of its own"),
     ),
     "dryve": (
         "dryve options + dryve drive options + velocities in rpm",
