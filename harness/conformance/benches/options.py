@@ -118,6 +118,15 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         ("friction_feedforward_a = 0.154\n", ""),
         ("following_rad = 0.0002", "following_rad = 0.002"),
     ],
+    "two amplifiers on two buses": [
+        (
+            '[motor.left]\nadaptation = "software"',
+            '[bus.can1]\nbitrate_bit_s = 1_000_000\n\n[controller.second]\nkind = "cia401"\n'
+            'bus = "can1"\nnode_id = 1\nchannels = 1\nplant = { preset = "wheel_60w" }\n\n'
+            '[motor.left]\nadaptation = "software"',
+        ),
+        ('controller = "node"\nchannel = 2', 'controller = "second"\nchannel = 1'),
+    ],
     "velocities in rpm": [
         ('adaptation = "dryve"\n', 'adaptation = "dryve"\nvelocity_unit = "rpm"\n'),
         ('kind = "dryve"\n', 'kind = "dryve"\nvelocity_unit = "rpm"\n'),

@@ -346,6 +346,7 @@ def common_stop_stays_on_path(bench: RigProtocol) -> None:
     expect(worst <= allowed, f"stopped together, but {worst:.6g} off the line; limit {allowed:.6g}")
     group.for_each(Motor.disable)
     group.stop()  # nobody has to brake
+    group.wait_until_done(_GROUP_S)
     before = positions_of(bench, group)
     further = 0.2 * way, -0.1 * way
     group.set_trajectory(*trajectories_of(*further))

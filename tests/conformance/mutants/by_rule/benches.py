@@ -43,7 +43,7 @@ VARIED: Final = {
     "robstride": ("RobStride options + other ranges of a RobStride",),
     "software": (
         *("servo options of the host + gains of the host's servo", "amplifier options"),
-        "linear axis of the host's servo",
+        *("linear axis of the host's servo", "two amplifiers on two buses"),
     ),
     "vesc": ("VESC options + VESC drive options", "linear axis of a VESC"),
 }
