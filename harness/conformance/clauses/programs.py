@@ -506,7 +506,9 @@ def groups_of_programs_take_turns(bench: RigProtocol) -> None:
 def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
     """If another program takes a member over, the others stop, and a wait tells the reason."""
     bench.apart()
-    _require_separate(bench.motors[0], bench.another_user_of(bench.motors[1]))
+    theirs = bench.another_user_of(bench.motors[1])
+    _require_separate(bench.motors[0], theirs)
+    _leave(bench, theirs)  # some programs command a motor at rest
     way = half_move(bench)
     for place in (0, 1):
         group = pair_of(bench, way, way)
