@@ -390,7 +390,7 @@ def group_takes_time_of_slowest_member(bench: RigProtocol) -> None:
 def _expect_start_beside_a_stream(bench: RigProtocol, group: MotorGroup) -> None:
     """Check that a group starts as soon while a further motor is streamed to."""
     third, way = bench.motors[len(group)], 0.25 * half_move(bench)
-    took_s = []
+    took_s: list[float] = []
     for ways in ((way, -way), (-way, way)):
         if took_s:
             try:
