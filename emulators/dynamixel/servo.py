@@ -88,6 +88,9 @@ class DynamixelTable(MotorTable):
         TablesByKey(Number(-(1 << 31), (1 << 31) - 1, is_whole=True)),
         "Values as delivered, by name of the item.",
     )
+    model_information: int = whole(
+        0, 0, 0xFFFF_FFFF, "", "Register 2, of which its maker tells nothing."
+    )
     boot_up_s: float = amount(
         0.4, "s", "From power-on or a reboot until it answers.", (0.05, 5.0), most=60
     )
@@ -121,7 +124,8 @@ class Servo(MotorDrive):
         self._firmware: Final = self._model.firmware if own.firmware is None else own.firmware
         self._line_bit_s: Final = line_bit_s
         rates = BAUD[: 7 if self._model.is_x330 else 8]
-        delivered = {"id": own.unit, **_rate(line_bit_s, rates), **own.registers}
+        known = {"id": own.unit, "model_information": own.model_information}
+        delivered = {**known, **_rate(line_bit_s, rates), **own.registers}
         self.memory: Final = Memory(self._model, self._firmware, delivered)
         for name, value in own.registers.items():
             self._require(name, value)

@@ -546,12 +546,12 @@ class CanDrive:
             self.news.grow()
 
 
-def checked_node(node: object, limit: int, what: str) -> int:
-    """Return a node number of 0 to `limit`; `what` names it with its drive ("node_id of an X").
+def checked_node(node: object, limit: int, what: str, *, low: int = 0) -> int:
+    """Return a node number up to `limit`; `what` names it with its drive ("node_id of an X").
 
     Raises:
         UsageError: it is not one.
     """
-    if not isinstance(node, int) or isinstance(node, bool) or not 0 <= node <= limit:
-        raise UsageError(f"{what} = {node!r}: out of range; expected 0 to {limit}")
+    if not isinstance(node, int) or isinstance(node, bool) or not low <= node <= limit:
+        raise UsageError(f"{what} = {node!r}: out of range; expected {low} to {limit}")
     return node

@@ -35,7 +35,7 @@ class CanHardware(ABC, Generic[OptionsT]):
     Attributes:
         OPTIONS: the class of its options.
         NOUN: the drive with its article, for messages ("an RMD").
-        NODE_ID_MAX: the largest node number.
+        NODE_ID_MIN, NODE_ID_MAX: the smallest node number, and the largest one.
         LACKS: the missing messages, if it is not heard ("heartbeat and version").
         CONNECT_S: the longest time until it is heard [s].
         EXTENDED, FD: as in `CanDrive`.
@@ -50,6 +50,7 @@ class CanHardware(ABC, Generic[OptionsT]):
 
     OPTIONS: type[OptionsT]
     NOUN: ClassVar[str]
+    NODE_ID_MIN: ClassVar[int] = 0
     NODE_ID_MAX: ClassVar[int]
     LACKS: str
     CONNECT_S: float = 3.0
@@ -64,7 +65,8 @@ class CanHardware(ABC, Generic[OptionsT]):
         runtime: "Runtime | None" = None,
         options: OptionsT | None = None,
     ) -> None:
-        self.node_id: Final = checked_node(node_id, self.NODE_ID_MAX, f"node_id of {self.NOUN}")
+        what, low = f"node_id of {self.NOUN}", self.NODE_ID_MIN
+        self.node_id: Final = checked_node(node_id, self.NODE_ID_MAX, what, low=low)
         self.options: Final = self.OPTIONS() if options is None else options
         self.users: int = 0
         self.drive: Final = CanDrive(

@@ -68,7 +68,7 @@ NOT_APPLICABLE = {
             *("FAULT-07", "HOME-04"),
             *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
             *(*_OF_PROGRAMS, "PROC-15"),
-            *("OPT-04", "OPT-05", "OPT-06", "FIT-01", "PAR-02", "FAULT-09", *_OF_CIA402),
+            *("OPT-04", "OPT-05", "OPT-06", "FIT-01", "FIT-02", "PAR-02", "FAULT-09", *_OF_CIA402),
         }
     ),
     "dryve": _POLLED | {"MEAS-03", "PAR-02", "MEAS-06", "LOW-13", "HOME-07"},
@@ -81,25 +81,25 @@ NOT_APPLICABLE = {
             *("LIM-05", "LIM-08", *_LED, "LEAD-05", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
             *_OF_CIA402,
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
-            *("LOST-11", "PAR-02", "HOME-05", *_OF_CAN, *_OF_CANOPEN),
+            *("LOST-11", "PAR-02", "HOME-05", "FIT-02", *_OF_CAN, *_OF_CANOPEN),
         }
     ),
-    "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01", "LIM-09"},
-    "mit": _STREAMED | {"FAULT-07"},
+    "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01", "FIT-02", "LIM-09"},
+    "mit": _STREAMED | {"FAULT-07", "FIT-02"},
     "moteus": frozenset(
         {
             *("SET-04", "SET-07", "SET-10", "TRAJ-06", "SET-14"),  # no torque or current
             *(*_OF_ONE_KIND, "TRAJ-15", "LOW-10"),
             *("TRAJ-04", "TRAJ-07", "TRAJ-09", "TRAJ-10", "TRAJ-11", "TRAJ-12"),  # no functions
-            *("TRAJ-14", "FAULT-07"),
+            *("TRAJ-14", "FAULT-07", "FIT-02"),
             *(*_LED, "LEAD-05", *_OF_CIA402, "LIM-05", "LOST-08", "SYNC-19"),  # likewise
             *("HEAR-05", "LOW-04", "SHARE-02", "PROC-14"),
             *("SYNC-06", "SYNC-11", "LOW-06", "PAR-02", *_OF_CANOPEN),
         }
     ),
-    "oriental_az": _POLLED - _OF_RESTARTS | {"FIT-01", *_OF_CIA402},
-    "rmd": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-01", "OPT-04"},
-    "robstride": _STREAMED | {"FIT-01"},
+    "oriental_az": _POLLED - _OF_RESTARTS | {"FIT-01", "FIT-02", *_OF_CIA402},
+    "rmd": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-01", "FIT-02", "OPT-04"},
+    "robstride": _STREAMED | {"FIT-01", "FIT-02"},
     "software": frozenset(
         {
             *("HEAR-05", "LOW-04", "LOW-06", "LOW-08", "LOW-09", "MEAS-02", "OTHER-01", "PAR-01"),
@@ -109,7 +109,7 @@ NOT_APPLICABLE = {
             *("PAR-02", "FAULT-09", "MEAS-06"),
         }
     ),
-    "vesc": _SAMPLED - {"LOW-03", "LOST-07"},
+    "vesc": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-02"},
 }
 
 

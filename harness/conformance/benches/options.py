@@ -71,7 +71,8 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         " home_from_rad = 300.0, home_to_rad = 301.0, index_rad = 0.3 }",
     ),
     "servo drive options": of_controller(
-        "dynamixel", "boot_up_s = 0.3\nturn_round_s = 0.0001\nfirmware = 46"
+        "dynamixel",
+        "boot_up_s = 0.3\nturn_round_s = 0.0001\nfirmware = 46\nmodel_information = 0x0102_0304",
     ),
     "Leadshine drive options": of_controller(
         "leadshine_pr",
@@ -116,6 +117,15 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
         ("velocity_max_rad_s = 2.0", "velocity_max_rad_s = 1.0"),
         ("friction_feedforward_a = 0.154\n", ""),
         ("following_rad = 0.0002", "following_rad = 0.002"),
+    ],
+    "two amplifiers on two buses": [
+        (
+            '[motor.left]\nadaptation = "software"',
+            '[bus.can1]\nbitrate_bit_s = 1_000_000\n\n[controller.second]\nkind = "cia401"\n'
+            'bus = "can1"\nnode_id = 1\nchannels = 1\nplant = { preset = "wheel_60w" }\n\n'
+            '[motor.left]\nadaptation = "software"',
+        ),
+        ('controller = "node"\nchannel = 2', 'controller = "second"\nchannel = 1'),
     ],
     "velocities in rpm": [
         ('adaptation = "dryve"\n', 'adaptation = "dryve"\nvelocity_unit = "rpm"\n'),

@@ -75,6 +75,9 @@ _STOP_FRAMES: Final[Mapping[str, Callable[[int], bytes]]] = {  # the same, by fr
     "vesc": lambda node: pack(EFF_FLAG | 0x0300 | node, bytes(4)),  # a speed of 0
     "moteus": lambda node: pack_fd(node, b"\1\0\0", BRS),  # mode 0, stopped
 }
+_STOP_FRAMES_AGAIN: Final[Mapping[str, Callable[[int], bytes]]] = {  # in every second stop
+    "vesc": lambda node: pack(EFF_FLAG | 0x0800 | node, b"\0\0\x08\0\0\0\0"),  # in a packet
+}
 _SWITCHED: Final = (
     *("mit", "robstride", "rmd", "dynamixel", "moteus", "vesc"),
     *("leadshine_pr", "oriental_az"),
@@ -84,6 +87,17 @@ _POWER_S: Final = 0.05
 """Time without power of a restarted drive [s]."""
 _MODBUS_WRITES: Final = (0x05, 0x06, 0x0F, 0x10, 0x16, 0x17)
 _GATEWAY_WRITE: Final = bytes((0x2B, 0x0D, 1))  # CANopen objects through Modbus
+
+
+def _merged(settings: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:
+    """Return settings with these changes, also of tables in them."""
+    made = dict(settings)
+    for key, value in changes.items():
+        before = made.get(key)
+        if isinstance(before, Mapping) and isinstance(value, Mapping):
+            value = {**before, **value}
+        made[key] = value
+    return made
 
 
 class TimeIsUp(BaseException):
@@ -165,6 +179,7 @@ class RigBench:
         self._is_apart = is_apart
         self._limit_s = limit_s
         self._rules = 0
+        self._stops = 0
         self.seed = seed
         self.facts: Facts = description.conformance
         self._switch_on()
@@ -407,7 +422,7 @@ class RigBench:
             motors[one] = replace(motors[one], node_id=address, settings=own)
         place = motors[name].controller
         if place is not None:
-            settings = {**controllers[place].settings, **drive}
+            settings = _merged(controllers[place].settings, drive)
             controllers[place] = replace(controllers[place], node_id=address, settings=settings)
         self._description = replace(before, motors=motors, controllers=controllers)
         try:
@@ -600,7 +615,9 @@ class RigBench:
         node = described.node_id or 0
         if described.kind in _STOP_FRAMES:
             port = self.rig.world.add_host(self._bus(motor), "another", lambda *_: None)
-            port.send(_STOP_FRAMES[described.kind](node))
+            self._stops += 1
+            frames = {**_STOP_FRAMES, **({} if self._stops % 2 else _STOP_FRAMES_AGAIN)}
+            port.send(frames[described.kind](node))
             return
         command = _STOPS[described.kind]
         if described.kind == "dynamixel":

@@ -95,6 +95,15 @@ _MESSAGES: Final = "".join(
     f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 8\nperiod_s = 0.005\n\n"
     for identifier in (*range(0x90, 0x99), *range(0x6A0, 0x6A9))  # above the drives, and below
 )
+_LEFT: Final = 'bus = "can0"\nnode_id = 1'
+_PREDEFINED: Final = "".join(  # by another device, which may send them if the drive does not
+    f"[[bus.can0.message]]\nidentifier = {identifier}\nlength = 6\nperiod_s = 0.02\n\n"
+    for identifier in (0x181, 0x201)
+)
+_OWN_IDENTIFIERS: list[Change] = [
+    (_LEFT, f'{_LEFT}\nobjects = {{ "1800h:1" = 0x190, "1400h:1" = 0x210 }}'),
+    (_RATE_AND_LEFT, _RATE_AND_LEFT.replace("[controller", f"{_PREDEFINED}[controller")),
+]
 _HEARD_LATE: Final = ("latency_s = [0.0, 0.001]", "latency_s = [-0.003, 0.001]")  # by start()
 _BUSY: list[Change] = [  # half of the bus; too much for a slow one, so its rate is spelt otherwise
     (_RATE_AND_LEFT, f"bitrate_bit_s = 1000000\n\n{_MESSAGES}[controller.left]")
@@ -139,6 +148,7 @@ VARIATIONS: Final[Mapping[str, Sequence[Change]]] = {
     "torque limit in the drive": of_drive('objects = { "6072h" = 300 }'),
     "units of the drive": _OF_THE_DRIVE,
     "two units of speed": _UNITS_OF_SPEED,
+    "identifiers of its own": _OWN_IDENTIFIERS,
     "PDOs without identifiers": of_drive(f"objects = {{ {_NO_IDENTIFIERS} }}"),
     "no csp": without_modes(0x2D),
     "no tq": without_modes(0xA5),

@@ -389,6 +389,15 @@ def common_stop_stays_on_path(bench: RigProtocol) -> None:
     skew_s = late_s + (group.sync_capability().start_skew_s or late_s) + 0.002
     allowed = 3.0 * bench.facts.following + skew_s * bench.motor.model.velocity_max
     expect(worst <= allowed, f"stopped together, but {worst:.6g} off the line; limit {allowed:.6g}")
+    group.for_each(Motor.disable)
+    group.stop()  # nobody has to brake
+    group.wait_until_done(_GROUP_S)
+    before = positions_of(bench, group)
+    further = 0.2 * way, -0.1 * way
+    group.set_trajectory(*trajectories_of(*further))
+    group.start()
+    finish_group(bench, group)
+    expect_group_moved(bench, group, before, further, "after it was stopped")
     if {Ability.BUS_ERRORS, Ability.AFRESH}.issubset(bench.abilities):
         _expect_one_stop_signal(bench)
 

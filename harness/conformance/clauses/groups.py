@@ -71,6 +71,7 @@ from motorhil.motorapi.synchronization.bus_load import (
     declared_traffic,
 )
 
+_STREAMS_S = 0.2
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
@@ -415,6 +416,33 @@ def group_takes_time_of_slowest_member(bench: RigProtocol) -> None:
     expect_group_moved(bench, group, before, ways, "when done was reported")
     most_s = least_s + bench.facts.time_tolerance_s + 0.1 * least_s
     expect(took_s <= most_s, f"the group took {took_s:.3f} s; limit {most_s:.3f} s")
+    if len(bench.motors) > len(ways):
+        _expect_start_beside_a_stream(bench, group)
+
+
+def _expect_start_beside_a_stream(bench: RigProtocol, group: MotorGroup) -> None:
+    """Check that a group starts as soon while a further motor is streamed to."""
+    third, way = bench.motors[len(group)], 0.25 * half_move(bench)
+    took_s: list[float] = []
+    for ways in ((way, -way), (-way, way)):
+        if took_s:
+            try:
+                follow(third, smooth_move(third, 4.0 * half_move(bench)))
+            except UnsupportedError:
+                return
+            rest_for(bench, _STREAMS_S)
+        group.set_trajectory(*trajectories_of(*ways))
+        before, begun_ns = positions_of(bench, group), bench.runtime.now_ns()
+        group.start()
+        took_s.append(elapsed_s(bench, begun_ns))
+        group.wait_until_done(10.0)
+        expect_group_moved(bench, group, before, ways, f"beside {third.name}")
+    finish(bench, third)
+    alone_s, beside_s = took_s
+    expect(
+        beside_s <= alone_s + bench.facts.time_tolerance_s,
+        f"start() took {beside_s:.3f} s while {third.name} was streamed to, {alone_s:.3f} s before",
+    )
 
 
 @clause(

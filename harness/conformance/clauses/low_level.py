@@ -54,6 +54,7 @@ _TPDO, _MAPPED = 0x1803, 0x1A03  # CiA 301, TPDO 4: its communication, and mappe
 _INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
 _UNMAPPABLE: Final = 0x1000_0020  # the device type
 _NO_OBJECT: Final = 0x5FFE
+_NO_CODE: Final = "00000000h"  # no abort has it
 _MEANINGS: Final = {  # CiA 301, SDO abort codes
     0x0602_0000: "not exist",
     0x0609_0011: "sub",
@@ -417,6 +418,7 @@ def _expect_aborts_in_words(hardware: Any) -> None:
     ):
         error = failure_of(operation)
         expect(isinstance(error, PeerError), f"{error!r}; expected an abort of the node")
+        expect(_NO_CODE not in f"{error}", f"{error}; expected the code of the abort")
         for code, word in _MEANINGS.items():
             is_told = f"{code:08X}h" not in f"{error}" or word in f"{error}".lower()
             expect(is_told, f"{error}; expected what {code:08X}h means, with the word {word!r}")

@@ -544,7 +544,9 @@ def groups_of_programs_take_turns(bench: RigProtocol) -> None:
 def takeover_of_member_stops_its_group(bench: RigProtocol) -> None:
     """If another program takes a member over, the others stop, and a wait tells the reason."""
     bench.apart()
-    _require_separate(bench.motors[0], bench.another_user_of(bench.motors[1]))
+    theirs = bench.another_user_of(bench.motors[1])
+    _require_separate(bench.motors[0], theirs)
+    _leave(bench, theirs)  # some programs command a motor at rest
     way = half_move(bench)
     for place in (0, 1):
         group = pair_of(bench, way, way)
@@ -615,7 +617,10 @@ def start_of_killed_program_is_over(bench: RigProtocol) -> None:
     bench.apart()
     _require_separate(bench.motors[0], bench.another_user_of(bench.motors[1]))
     way = 0.2 * long_move(bench)
-    for left in (1, 3):  # the last message may start all motors at once
+    ways_out = [(1, False), (3, False)]  # the last message may start all motors at once
+    if len(bench.motors) > 2:
+        ways_out.append((1, True))  # the others start together, and nobody touches the first one
+    for left, is_left_alone in ways_out:
         bench.apart()
         motor, *mine = bench.motors
         theirs = MotorGroup(*map(bench.another_user_of, (motor, mine[0])))
@@ -629,7 +634,7 @@ def start_of_killed_program_is_over(bench: RigProtocol) -> None:
         _kill_in_start(bench, theirs, way, max(1, messages - left))
         rest_for(bench, 2.0 * shortest_s(motor, way) + _LINGER_S)
         what = f"a program was killed in the start of {motor.name} and {mine[0].name}"
-        for one in bench.motors:
+        for one in mine if is_left_alone else bench.motors:
             if one.state() is MotorState.FAULT:  # some drives miss their host
                 one.reset_fault()
             one.enable()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
-from inspect import signature
+from inspect import getmembers, signature
 from itertools import product
 from math import inf, isfinite, nan, nextafter
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any, Final
 from motorhil.harness.conformance.bench import Ability, RigProtocol, Stated
 from motorhil.harness.conformance.clause import Level, NotApplicable, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
+    elapsed_s,
     expect_moved,
     expect_raises,
     expect_state,
@@ -282,6 +283,7 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
     with motor.low_level() as found:
         hardware: Any = found
     _expect_parameters(motor)
+    _expect_own_values(motor)
     _expect_options(getattr(hardware, "options", None))
     stated = bench.stated()
     if stated is not None:
@@ -343,7 +345,7 @@ def _expect_addresses(bench: RigProtocol, motor: Motor, hardware: Any, stated: S
     beyond = [
         value
         for value, limit in _outside(declared)
-        if isinstance(value, int) and value > max(limit, least)
+        if isinstance(value, int) and (value > max(limit, least) or value < min(limit, 1 - least))
     ]
     for value in (*_NO_ADDRESS, *beyond):
         made = partial(kind, bench.link, value, **own)
@@ -392,6 +394,24 @@ def _expect_parameters(motor: Any) -> None:
             made = partial(kind, **{one.name: value})
             expect_raises((UsageError, TypeError), made, what)
     set_parameters(before)
+
+
+def _expect_own_values(motor: Any) -> None:
+    """Expect values of a motor's kind, which are data classes, to be of their class always."""
+    for name, one in getmembers(type(motor), lambda one: isinstance(one, property)):
+        before = getattr(motor, name, None) if one.fset is not None else None
+        if not is_dataclass(before):
+            continue
+        for value in (1, "no such value"):
+            error = failure_of(partial(setattr, motor, name, value))
+            what = f"{motor.name}: {name} = {value!r}"
+            if error is None:
+                found = getattr(motor, name)
+                expect(isinstance(found, type(before)), f"{what}: {found!r}; expected a refusal")
+            else:
+                is_told = isinstance(error, UsageError) and repr(value) in f"{error}"
+                expect(is_told, f"{what}: {error!r}; expected UsageError with it")
+        setattr(motor, name, before)
 
 
 def _expect_options(options: Any) -> None:
@@ -788,3 +808,30 @@ def _expect_stiffness(bench: RigProtocol, plant: Mapping[str, object]) -> None:
         error = _not_built(bench, {"plant": {**plant, _STIFFNESS: share * most}})
         what = f"{_STIFFNESS} = {share * most:g}, {share:g} times the stiffest one"
         expect((not error) is is_built, f"{what}: {error or 'built'}")
+
+
+@clause(
+    "FIT-02",
+    Level.L0,
+    bench={Ability.SETTINGS},
+    source="DeadlineExceeded: what was awaited, how long, last heard; [conformance] slow",
+)
+def slow_drive_is_reported_in_time(bench: RigProtocol) -> None:
+    """A drive that is not enabled in time is reported as such, after the time in the error."""
+    slow = bench.facts.slow
+    if not slow:
+        raise NotApplicable("the rig states no drive that is too slow ([conformance] slow)")
+    with bench.altered({}, slow):
+        motor = bench.motor
+        motor.position()
+        begun_ns = bench.runtime.now_ns()
+        error = failure_of(motor.enable)
+        took_s = elapsed_s(bench, begun_ns)
+        told = f"a drive that is too slow: enable() ended with {error!r} after {took_s:.3f} s"
+        expect(error is not None, told)
+        if isinstance(error, DeadlineExceeded):
+            late_s = took_s - error.timeout_s
+            is_then = 0.0 <= late_s <= bench.facts.time_tolerance_s
+            expect(is_then, f"{told}; expected {error.timeout_s:g} s")
+        state = motor.state()
+        expect(state is not MotorState.ENABLED, f"{told}, and the state is {state.value}")

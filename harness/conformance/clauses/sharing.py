@@ -57,6 +57,7 @@ _TOGETHER = {*_SHARED, Ability.ONE_PROGRAM}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
 _BEFORE_CLOSE_S: Final = 0.01
+_ENDED_S: Final = 1.0
 _LEASE_S = 0.2
 _LOW_LEVEL: Final = "low-level access"
 _COURSES: Final = 8
@@ -463,6 +464,18 @@ def closed_motor_refuses_commands(bench: RigProtocol) -> None:
     if Ability.LOSE in bench.abilities:
         for other in bench.motors[1:]:
             _expect_wait_ends(bench, other)
+    if Ability.AFRESH in bench.abilities:
+        bench.afresh()
+        _expect_end_before_close(bench)
+
+
+def _expect_end_before_close(bench: RigProtocol) -> None:
+    """Expect close() not to be told as the end of a motion that had ended, with nobody looking."""
+    motor, way = bench.motor, 0.1 * long_move(bench)
+    begin_move(bench, motor, way, shortest_s(motor, way) + _ENDED_S)
+    motor.close()
+    error = failure_of(partial(motor.wait_until_done, 1.0))
+    expect(not isinstance(error, MotionInterrupted), f"a motion had ended before close(): {error}")
 
 
 def _note_failure(errors: list[MotorError | None], operation: Callable[[], object]) -> None:

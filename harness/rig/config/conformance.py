@@ -178,6 +178,11 @@ class ConformanceTable:
         "Whether the position is that of the model from power-on, without homing;"
         " absent: not known.",
     )
+    slow: Mapping[str, object] = setting(
+        {},
+        TablesByKey(_AsTheDrive()),
+        "Settings of the emulated drive with which it is not enabled in time; absent: none known.",
+    )
     claims: tuple[str, ...] = setting(
         (),
         Items(Text(tuple(_BY_KEY), "capability"), shown='["homing"]'),
@@ -236,6 +241,7 @@ class Facts:
         unfit: settings of the emulated drive, each with which the adaptation must refuse it.
         unfit_texts: words in the refusal of each of them, in their order; fewer: not known.
         absolute_encoder: whether the motor is referenced without homing; None: not known.
+        slow: settings of the emulated drive with which it is not enabled in time; or none.
         claims: the capabilities claimed by the rig.
         claimed_at: where the rig claims them, "file:line".
         without: the capabilities that are not claimed, and why.
@@ -265,6 +271,7 @@ class Facts:
     unfit: tuple[Mapping[str, object], ...] = ()
     unfit_texts: tuple[str, ...] = ()
     absolute_encoder: bool | None = None
+    slow: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     claims: tuple[Capability, ...] = ()
     claimed_at: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
     without: Mapping[Capability, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -319,6 +326,7 @@ def read_facts(table: Table, motors: tuple[str, ...]) -> Facts:
         unfit=own.unfit,
         unfit_texts=own.unfit_texts,
         absolute_encoder=own.absolute_encoder,
+        slow=own.slow,
         claims=tuple(claimed),
         claimed_at=MappingProxyType(claimed),
         without=MappingProxyType({_BY_KEY[name]: why for name, why in own.without.items()}),

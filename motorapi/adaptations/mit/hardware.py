@@ -110,6 +110,7 @@ class MitHwMotor(StreamedCanHardware[MitOptions]):
     """
 
     NOUN: ClassVar[str] = "a drive with MIT frames"
+    NODE_ID_MIN: ClassVar[int] = 1
     NODE_ID_MAX: ClassVar[int] = 127
     estimate: Estimate | None
     fault: "Fault | None"

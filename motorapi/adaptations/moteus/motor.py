@@ -163,6 +163,7 @@ class MoteusHwMotor(CanHardware[MoteusOptions]):
 
     OPTIONS = MoteusOptions
     NOUN: ClassVar[str] = "a moteus"
+    NODE_ID_MIN: ClassVar[int] = 1
     NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
     LACKS: str = "reply with status and versions"
     CONNECT_S = 1.0

@@ -132,6 +132,7 @@ class RmdHwMotor(StreamedCanHardware[RmdOptions]):
 
     OPTIONS = RmdOptions
     NOUN: ClassVar[str] = "an RMD"
+    NODE_ID_MIN: ClassVar[int] = 1
     NODE_ID_MAX: ClassVar[int] = NODE_ID_MAX
     LACKS: str = "answer to 92h, 9Ah and 42h"
 

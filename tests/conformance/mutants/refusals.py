@@ -11,6 +11,7 @@ from motorhil.motorapi import Motor, execution, model
 from motorhil.motorapi.adaptations.cia402 import measurements
 from motorhil.motorapi.adaptations.cia402.csp import StreamedMotion
 from motorhil.motorapi.adaptations.cia402.motor import Cia402Motor
+from motorhil.motorapi.adaptations.dryve.hardware import DryveHwMotor
 from motorhil.motorapi.adaptations.leadshine.hardware import LeadshineHwMotor
 from motorhil.motorapi.adaptations.mit import frames
 from motorhil.motorapi.adaptations.moteus.motor import MoteusHwMotor, MoteusTable
@@ -19,7 +20,7 @@ from motorhil.motorapi.adaptations.vesc import motor as vesc
 from motorhil.motorapi.api import polled_hardware, registration
 from motorhil.motorapi.api.can_drive import CanDrive
 from motorhil.motorapi.commands import ControlMode, ControlVariable, DerivativeLimits
-from motorhil.motorapi.errors import MotorBusyError, UnsupportedError, UsageError
+from motorhil.motorapi.errors import DeadlineExceeded, MotorBusyError, UnsupportedError, UsageError
 from motorhil.motorapi.logical_motor import LogicalMotor
 from motorhil.motorapi.model import MotorModel
 from motorhil.motorapi.planning import functions, single_axis
@@ -317,6 +318,26 @@ def range_of_one_model_is_another_ones():
 def any_register_map_will_do():
     """The adaptation controls a drive without a look at the version of its registers."""
     with replaced(MoteusHwMotor, "_connected", lambda _: lambda self: None):
+        yield
+
+
+@mutant("dryve", "FIT-02")
+def a_wait_for_twice_as_long_as_told():
+    """A wait for a state of the drive lasts for twice as long as its error tells."""
+
+    def wrong(await_):
+        def waited(self, what, is_met):
+            try:
+                await_(self, what, is_met)
+            except DeadlineExceeded as error:
+                timeout_s = 0.5 * error.timeout_s
+                raise DeadlineExceeded(
+                    awaited=error.awaited, timeout_s=timeout_s, last_heard=error.last_heard
+                ) from error
+
+        return waited
+
+    with replaced(DryveHwMotor, "_await", wrong):
         yield
 
 

@@ -17,6 +17,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_moved,
     expect_raises,
     expect_unmoved,
+    failure_of,
     finish,
     follow,
     long_move,
@@ -48,6 +49,7 @@ _FAR = 12.0  # long moves
 _SAME = 1e-3  # of the distance: positions before a move are measured
 _OBJECTS = "objects"
 _SLOWER = 0.5
+_NEAR, _WITHIN = 0.3, 20.0  # long moves
 _OUT_OF_REACH = 1e9  # long moves: it would take years
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
@@ -478,6 +480,28 @@ def limits_of_the_drive_are_known(bench: RigProtocol) -> None:
         limited = {_OBJECTS: {**known, name: max(1, round(_SLOWER * most))}}
         with suppress(RigError), bench.altered({}, limited):  # it may lack the object
             _expect_refused_or_fast(bench, f"with {name} at {_SLOWER:g} of the model's limit")
+    if model.increments_per_unit is not None:
+        reach = abs(bench.motor.position()) + _NEAR * long_move(bench)
+        most = round(reach * abs(model.increments_per_unit))
+        limited = {_OBJECTS: {**known, "607Dh:1": -most, "607Dh:2": most}}
+        with suppress(RigError), bench.altered({}, limited):
+            _expect_ends_reached(bench, 2.0 * reach)
+
+
+def _expect_ends_reached(bench: RigProtocol, beyond: float) -> None:
+    """Check that the limits of a drive are reached, which the refusals of targets beyond name."""
+    motor = bench.motor
+    for target in (beyond, -beyond):
+        error = failure_of(partial(aim, motor, target))
+        if not isinstance(error, LimitError) or error.low is None or error.high is None:
+            return
+        end = error.high if target > 0.0 else error.low
+        way = end - motor.position()
+        if abs(way) > _WITHIN * long_move(bench):
+            continue
+        aim(motor, end)
+        finish(bench, motor, shortest_s(motor, way))
+        expect_at(bench, motor, end, f"at {end:g}, the limit of the drive")
 
 
 def _expect_refused_or_fast(bench: RigProtocol, what: str) -> None:

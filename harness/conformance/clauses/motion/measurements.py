@@ -46,6 +46,8 @@ _SAMPLE_S = 0.01
 _SAMPLES = 10
 _SETTLED_S = 0.2
 _PUSH = 0.2  # of the largest torque
+_TOLD_S = 0.02
+_TOLD_SHARE = 0.4  # of the velocity of a motor that is being pushed
 _PROMPT_S = 0.02  # a reading that meets the peak after a load
 _READINGS = 40
 _SWITCHES = "switches"
@@ -221,6 +223,7 @@ def pushed_motor_reports_its_place(bench: RigProtocol) -> None:
         for _ in range(10):
             rest_for(bench, 0.02)
             watch.read(f"disabled, pushed by {torque:g}")
+        _expect_velocity_told(bench, f"disabled, pushed by {torque:g}")
         bench.load(motor, 0.0)
         coast(bench, motor)
         watch.read("pushed, at rest again")
@@ -232,6 +235,23 @@ def pushed_motor_reports_its_place(bench: RigProtocol) -> None:
         way = 0.1 * long_move(bench)
         move_exactly(bench, motor, way, "moved after it was pushed")
         expect_moved(bench, motor, held, way, "moved after it was pushed", 2.0)
+
+
+def _expect_velocity_told(bench: RigProtocol, what: str) -> None:
+    """Check the last known velocity, if it is known, and new."""
+    motor, unit = bench.motor, bench.motor.model.unit
+    before, begun_ns = bench.true_position(motor), bench.runtime.now_ns()
+    rest_for(bench, _TOLD_S)
+    motor.position()
+    took_s, latest = elapsed_s(bench, begun_ns), motor.latest()
+    true = (bench.true_position(motor) - before) / took_s
+    if latest is None or latest.velocity is None or latest.time_ns < begun_ns:
+        return
+    allowed = _TOLD_SHARE * abs(true) + _VELOCITY_SHARE * motor.model.velocity_max
+    expect(
+        abs(latest.velocity - true) <= allowed,
+        f"{what}: latest() has velocity {latest.velocity:g} {unit}/s; it is {true:g} {unit}/s",
+    )
 
 
 @clause(

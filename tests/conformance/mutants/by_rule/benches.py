@@ -22,7 +22,7 @@ VARIED: Final = {
     "cia402": (
         *("motor options", "lost host disables", "units of the drive + reversing gear"),
         *("limited jerk", "three motors + fast clock", "quirk inverted_set_point_acknowledge"),
-        "two buses with equal node-IDs",
+        *("two buses with equal node-IDs", "identifiers of its own"),
     ),
     "dryve": (
         "dryve options + dryve drive options + velocities in rpm",
@@ -43,7 +43,7 @@ VARIED: Final = {
     "robstride": ("RobStride options + other ranges of a RobStride",),
     "software": (
         *("servo options of the host + gains of the host's servo", "amplifier options"),
-        "linear axis of the host's servo",
+        *("linear axis of the host's servo", "two amplifiers on two buses"),
     ),
     "vesc": ("VESC options + VESC drive options", "linear axis of a VESC"),
 }

@@ -50,7 +50,7 @@ class Table(DriveOptions):
 class Hardware(CanHardware[DriveOptions]):
     OPTIONS = DriveOptions
     NOUN = "a drive"
-    NODE_ID_MAX = 9
+    NODE_ID_MIN, NODE_ID_MAX = 1, 9
     LACKS = "status"
     CONNECT_S = 0.5
 
@@ -155,8 +155,9 @@ def test_motor_offers_the_start_that_its_drive_declares(rig):
 def test_refused_hardware_leaves_its_place_free(rig):
     with pytest.raises(UsageError, match="too long"):
         Hardware(rig.bus, 1, options=DriveOptions(timeout_ms=2e3))
-    with pytest.raises(UsageError, match="node_id of a drive = 10: out of range"):
-        Hardware(rig.bus, 10)
+    for node_id in (0, 10):
+        with pytest.raises(UsageError, match=f"drive = {node_id}: out of range; expected 1 to 9"):
+            Hardware(rig.bus, node_id)
     Hardware(rig.bus, 1).close()
 
 

@@ -245,3 +245,16 @@ def test_error_frame_is_not_handled_as_data_frame(rig: Rig, classes: int):
         with pytest.raises(DeadlineExceeded):
             inbox.receive(0.0)
     assert (after, list(node.emergencies), heard) == (before, [], [])
+
+
+def test_network_hears_frames_of_further_nodes(rig: Rig):
+    """A `canopen.Network` on the bus has subscribers of its own, as for a sensor."""
+    motor = motor_of(rig)
+    motor.enable()
+    heard: list[tuple[int, bytes, float]] = []
+    network = motor.hardware.node.bus.network
+    network.subscribe(0x5A1, lambda *one: heard.append((one[0], bytes(one[1]), one[2])))
+    tell(rig, "5A1#0102030405060708")
+    tell(rig, "5A2#0807060504030201")
+    assert [one[:2] for one in heard] == [(0x5A1, bytes(range(1, 9)))]
+    assert 0.0 < heard[0][2] <= now_ns(rig) / 1e9
