@@ -125,7 +125,7 @@ def once_homed_is_homed_for_good():
 
 @mutant("cia402", "LOW-03")
 def low_level_access_leaves_all_as_it_was():
-    """After low-level access all settings are believed; boot-ups meanwhile are not noticed."""
+    """After low-level access all settings are believed; restarts meanwhile are not noticed."""
 
     def wrong(heard):
         def told(node, frame, time_ns):
@@ -136,6 +136,7 @@ def low_level_access_leaves_all_as_it_was():
 
     with (
         replaced(CanopenNode, "_on_heartbeat", wrong),
+        replaced(CanopenNode, "look_for_restart", lambda _: lambda node: None),
         replaced(Cia402Motor, "_close_low_level", lambda _: lambda motor: None),
     ):
         yield
