@@ -547,9 +547,9 @@ def last_closed_motor_leaves_its_bus(bench: RigProtocol) -> None:
 def _is_used_in(one: Any, runtime: object) -> bool:
     """Return whether an object of the interface counts its users, and is of this runtime."""
     kind = type(one)
-    if not kind.__module__.startswith(_INTERFACE) or not isinstance(
-        getattr(one, "users", None), int
-    ):
+    module = kind.__module__  # a class may have a descriptor of this name
+    is_own = isinstance(module, str) and module.startswith(_INTERFACE)
+    if not is_own or not isinstance(getattr(one, "users", None), int):
         return False
     link = getattr(one, "link", one)
     return getattr(link, "runtime", None) is runtime and one.users > 0

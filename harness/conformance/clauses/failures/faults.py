@@ -44,6 +44,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ControlMode,
+    ControlVariable,
     DeadlineExceeded,
     DeviceFault,
     LinkError,
@@ -571,7 +572,7 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.3 * long_move(bench)
     own = _place_of_own_homing(bench, motor)
     move(bench, motor, way)
-    before = position_of(bench, motor)
+    before, state = position_of(bench, motor), motor.state()
     begun_ns = bench.runtime.now_ns()
     try:
         motor.home(_HERE)
@@ -582,11 +583,14 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     took_s, most_s = elapsed_s(bench, begun_ns), _SPOT_S + bench.facts.time_tolerance_s
     expect(took_s <= most_s, f"homing on the spot took {took_s:.3f} s; limit {most_s:g} s")
     expect(motor.is_referenced(), "homed on the spot: not referenced")
+    now = motor.state()
+    expect(now is state, f"homed on the spot: {now.value}; {state.value} before")
     expect_at(bench, motor, 0.0, "homed on the spot")
     if Ability.TRUTH in bench.abilities and motor.position() != position_of(bench, motor):
         expect_unmoved(bench, motor, before, "homed on the spot")
     move(bench, motor, -way)
     expect_at(bench, motor, -way, "moved after homing on the spot")
+    expect(motor.is_referenced(), "moved after homing on the spot: not referenced any more")
     again = None if own is None else _place_of_own_homing(bench, motor)
     expect(
         own is None or again is None or abs(again - own) <= bench.facts.window,
@@ -729,6 +733,10 @@ def motor_is_referenced_at_first_if_absolute(bench: RigProtocol) -> None:
     motor.position()
     found = motor.is_referenced()
     expect(found is wanted, f"before any homing, is_referenced() is {found}; expected {wanted}")
+    if motor.logical.hooks.supports(ControlMode.TRAJECTORY, ControlVariable.POSITION):
+        move(bench, motor, 0.1 * long_move(bench))
+        moved = motor.is_referenced()
+        expect(moved is wanted, f"after a move, is_referenced() is {moved}; expected {wanted}")
 
 
 @clause(
