@@ -583,11 +583,11 @@ def _expect_refused_or_right(
         return
     try:
         way = 0.1 * long_move(bench)
-        error = failure_of(partial(follow, motor, TrapezoidalTrajectory(way)))
-        if isinstance(error, UsageError):
+        refused = failure_of(partial(follow, motor, TrapezoidalTrajectory(way)))
+        if isinstance(refused, UsageError):
             is_on = motor.state() is MotorState.ENABLED
-            expect(not is_on, f"{what}: {error}; expected nothing sent, but the motor is enabled")
-            raise error
+            expect(not is_on, f"{what}: {refused}; expected nothing sent; the motor is enabled")
+            raise refused
         finish(bench, motor)
         before = position_of(bench, motor)
         move_exactly(bench, motor, way, what)

@@ -242,7 +242,9 @@ DRIVES: dict[str, str] = {
         "switches = { index_pulse = false }"
     ),
     "modes untold": f'eds = "{_eds("modes untold", without=("6071", "6502"))}"',
-    "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_CHANGED)}"',
+    "unusual file": (
+        f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_CHANGED)}"'
+    ),
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
     "legal quirks": f"quirks = {LEGAL}\n[conformance]\nfault_code = 0x4310",
     **{f"quirk {name}": f'quirks = ["{name}"]' for name in DEVIATIONS},

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import (
@@ -69,6 +69,9 @@ _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 _METHODS: Final = range(1, 38)  # CiA 402-2, 6098h
 _HERE = 37
+_TIMEOUT: Final = "timeout_s"
+_PATIENT: Final = 0.9
+_READINGS: Final = 3
 _SPOT_S: Final = 0.5
 _SEARCH_S: Final = 0.4
 _LATE_S: Final = (0.11, 0.21, 0.31)
@@ -541,6 +544,22 @@ def late_answer_is_not_taken_for_next(bench: RigProtocol) -> None:
             way = -way
         if not late:
             raise NotApplicable("the motor reads nothing by requests")
+    if Ability.SETTINGS in bench.abilities:
+        _expect_patience(bench, motor)
+
+
+def _expect_patience(bench: RigProtocol, motor: Motor) -> None:
+    """Expect positions of a drive that takes most of the stated timeout for each answer."""
+    stated = bench.stated()
+    if stated is None or _TIMEOUT not in stated.declaration.keys:
+        return
+    timeout_s: Any = stated.values.get(_TIMEOUT, stated.declaration.defaults.get(_TIMEOUT))
+    _wait_until_it_answers(bench, motor)
+    with bench.delay_answers_of(motor, _PATIENT * timeout_s):
+        for _ in range(_READINGS):
+            error = failure_of(motor.position)
+            text = f"each answer comes {_PATIENT:g} of {_TIMEOUT} = {timeout_s:g} s late: {error}"
+            expect(error is None, text)
 
 
 def _read_all(motor: Motor, watch: PositionWatch, when: str) -> None:
