@@ -52,12 +52,7 @@ def counted_sync(bench: DriveBench) -> None:
         drive.expect(refused != 0, f"{_OVERFLOW} = {wrong}", "an abort", "accepted")
     rpdo = configure(drive, 0x1400, (od.CONTROLWORD,), 1)
     parameter = Entry(0x1800, 1, "I", "COB-ID")
-    if not drive.find(_CYCLE):
-        refused = drive.offer_value(_OVERFLOW, _COUNTS)
-        expected = f"accepted, or refused by its value: {_CYCLE} is 0 or absent"
-        is_right = refused != _PRESENT_STATE
-        drive.expect(is_right, f"{_OVERFLOW} = {_COUNTS}", expected, f"{refused:08X}h")
-    drive.set(_OVERFLOW, _COUNTS)
+    _set_counter(drive)
     drive.set(parameter, drive.read(parameter) | _INVALID)
     drive.set(_SYNC_START, _START_AT)
     tpdo = configure(drive, 0x1800, (od.STATUSWORD,), _EVERY)
@@ -106,6 +101,16 @@ def counted_sync(bench: DriveBench) -> None:
     count = len(drive.client.heard(tpdo, begin_ns))
     what = f"TPDO of type {_EVERY}, {2 * _EVERY} SYNCs, 1019h = 0"
     drive.expect(count == 2, what, "2 TPDOs: no counter to wait for", f"{count}")
+
+
+def _set_counter(drive: Drive) -> None:
+    """Set 1019h, which the state of the drive does not forbid while 1006h is 0 or absent."""
+    if not drive.find(_CYCLE):
+        refused = drive.offer_value(_OVERFLOW, _COUNTS)
+        expected = f"accepted, or refused by its value: {_CYCLE} is 0 or absent"
+        is_right = refused != _PRESENT_STATE
+        drive.expect(is_right, f"{_OVERFLOW} = {_COUNTS}", expected, f"{refused:08X}h")
+    drive.set(_OVERFLOW, _COUNTS)
 
 
 def _expect_watch_in_pre_operational(drive: Drive) -> None:
