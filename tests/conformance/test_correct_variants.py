@@ -7,7 +7,7 @@ import pytest
 from motorhil.harness.conformance.bench import Ability
 from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.rig_bench import RigBench, bench_description
-from motorhil.harness.conformance.benches.variations import APART, READ
+from motorhil.harness.conformance.benches.variations import APART, OWN, READ
 from motorhil.harness.conformance.claims import Claims
 from motorhil.harness.conformance.clause import Result
 from motorhil.harness.conformance.job import Job
@@ -139,6 +139,15 @@ def test_variant_is_never_accused(tmp_path, name, seed):
 def test_motor_of_another_kind_is_never_accused(kind, seed):
     name = BENCHES[kind][seed % len(BENCHES[kind])]
     assert accusations(Target(Job(kind, seed=seed)).opener(None, name), CLAUSES) == []
+
+
+def test_class_whose_module_is_no_text_is_not_taken_for_ours():
+    class Odd:
+        __module__ = property(lambda self: "of an object")
+
+    odd = Odd()  # CLOSE-04 looks at all objects of the process
+    assert accusations(Target(Job("mit")).opener(None, OWN), ["CLOSE-04"]) == []
+    assert odd
 
 
 def verdict_of(clause, opener):

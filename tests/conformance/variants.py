@@ -95,6 +95,7 @@ _FIXED |= {  # TPDO 2 has the position before the statusword, every 20 ms
     "_1A01sub2": "AccessType=const DefaultValue=0x60410010",
     "_1801sub5": "DefaultValue=20",
     "_6065": "AccessType=ro",
+    "_605D": "AccessType=ro DefaultValue=2",
 }
 _NO_RPDOS = [
     *of_drive(f'eds = "{_without("140.", "160.", "60F4")}"'),

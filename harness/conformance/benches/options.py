@@ -81,7 +81,7 @@ _OTHERS: Final[Mapping[str, Sequence[Change]]] = {
     ),
     "AZ drive options": of_controller(
         "oriental_az",
-        "timing = { boot_up_s = 0.5, reply_s = 0.003 }\n"
+        "timing = { boot_up_s = 0.5, reply_s = 0.003 }\nregisters = { gear_a = 3, gear_b = 2 }\n"
         "switches = { limit_backward_rad = -500.0, limit_forward_rad = 500.0, home_rad = 300.0 }",
     ),
     "AZ drive keeps its trigger": of_controller("oriental_az", "trigger_auto_clear = false"),

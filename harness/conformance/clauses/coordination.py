@@ -200,6 +200,11 @@ def impossible_groups_are_refused(bench: RigProtocol) -> None:
     expect(f"from {first.name}, member 1 of 2" in notes, f"for_each() failed with {error}: {notes}")
     for motor, was in zip(group, before, strict=True):
         expect_unmoved(bench, motor, was, f"{motor.name}, after its group was refused")
+    if Ability.AFRESH in bench.abilities:
+        former = MotorGroup(first)
+        bench.afresh()
+        refused = partial(former.append, bench.motors[1])
+        expect_raises(UsageError, refused, "a motor of another runtime was accepted")
 
 
 def _expect_durations(bench: RigProtocol, group: MotorGroup, way: float) -> None:

@@ -962,3 +962,12 @@ def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
         if not waits:
             error = failure_of(partial(group.wait_until_done, 10.0))
         expect(error is not None, f"{what}, but its group reported done")
+    bench.afresh()
+    alone = pair_of(bench, 3.0 * half_move(bench))
+    alone.start()
+    rest_for(bench, midway_s(bench.motor, half_move(bench), 0.2))
+    bench.fail(bench.motor)
+    error = failure_of(partial(alone.wait_until_done, 10.0))
+    expect(error is not None, "the only member of a group failed, but the group reported done")
+    told = [note for note in getattr(error, "__notes__", ()) if "others of its group" in note]
+    expect(not told, f"the only member of a group failed, and the error tells of others: {told}")

@@ -19,6 +19,7 @@ from motorhil.motorapi import (
     ControlMode,
     ControlVariable,
     DerivativeLimits,
+    LimitError,
     MotionInterrupted,
     Motor,
     MotorError,
@@ -622,6 +623,14 @@ _MODES: Final = (
     Mode("homing", _C.HOMING, _seek),
     Mode("holding, enabled", None, _hold, moves=False, ends=False),
 )
+
+
+def expect_outside(error: LimitError) -> None:
+    """Check that the value of this error is outside of its limits."""
+    low = -inf if error.low is None else error.low
+    high = inf if error.high is None else error.high
+    is_outside = low <= high and not low <= error.value <= high
+    expect(is_outside, f"refused, though its value is within its limits: {error}")
 
 
 def pair_of(bench: RigProtocol, *ways: float) -> MotorGroup:

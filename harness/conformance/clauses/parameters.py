@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import partial
-from math import inf
+from math import inf, nan
 from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -79,9 +79,9 @@ def _parameters_of(motor: Motor) -> tuple[Any, Callable[[Any], None]]:
         NotApplicable: it has none.
     """
     found, setter = getattr(motor, "parameters", None), getattr(motor, "set_parameters", None)
-    if found is None or setter is None:
+    if found is None:
         raise NotApplicable("the motor has no parameters")
-    return found, setter
+    return found, setter or partial(setattr, motor, "parameters")
 
 
 def _hardware_of(motor: Motor) -> Any:
@@ -216,6 +216,8 @@ def motor_moves_with_each_parameter(bench: RigProtocol) -> None:
             way = -way
             with suppress(UsageError, UnsupportedError):  # too much for the model, or the drive
                 move_exactly(bench, motor, way, f"with {name} = {value:g}")
+            what = f"a parameter {name} = nan was accepted"
+            expect_raises((UsageError, TypeError), partial(kind, **{name: nan}), what)
     set_parameters(own)
     expect(found, f"no parameter accepts one of {', '.join(map(str, _VALUES))}")
     move_exactly(bench, motor, -way, "with its former parameters")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import permutations, product
+from itertools import islice, permutations, product
 from math import ceil
 from random import Random
 from typing import Any, Final, final
@@ -40,6 +40,7 @@ from motorhil.motorapi.synchronization.can_frame_length import Bits, longest, sh
 from motorhil.motorapi.synchronization.can_response_time import (
     Arrival,
     BusLoad,
+    Effort,
     ErrorModel,
     Message,
     Response,
@@ -79,6 +80,8 @@ _CLASSICAL: Final = "CAN_20"  # of can.CanProtocol
 _OFTEN: Final = 2.0  # as often as declared: also when something else asks for a frame
 _MORE: Final = 3
 _BEFORE_S: Final = 0.2
+_EFFORTS: Final = tuple(round(1.1**number) for number in range(24, 80))  # steps, until most suffice
+_HURRIED: Final = 8
 _UNDECLARED_HZ: Final = 50.0  # of a drive that is asked now and then
 
 
@@ -282,6 +285,14 @@ def response_times_are_those_of_theory(bench: RigProtocol) -> None:
             )
         _expect_verdicts(load, errors, told)
     expect(ErrorModel() == ErrorModel(1), f"errors if none are stated: {ErrorModel()}")
+    queued = (one for one in _loads(bench.seed) if one[0].fifo)
+    for load, errors in islice(queued, _HURRIED):
+        timed = tuple(replace(one, deadline_ns=one.period_ns) for one in load.messages)
+        dated = replace(load, messages=timed)
+        is_in_time = are_in_time(dated, errors)
+        for steps in _EFFORTS:
+            is_found = are_in_time(dated, errors, Effort(steps))
+            expect(is_found <= is_in_time, f"{load}: in time with {steps} steps, and not with more")
 
 
 def _expect_equal(found: Response, wanted: Response) -> None:

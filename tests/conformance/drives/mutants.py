@@ -745,6 +745,12 @@ def hm_lets_the_motor_turn(patch):
     _always(patch, homing.Homing, "enter", None)
 
 
+@mutant("PP-12")
+def pp_lets_the_motor_turn(patch):
+    """pp leaves a motor in motion as it is, until its first set-point."""
+    patch.setattr(ProfilePosition, "enter", lambda self, word, now_ns: self.leave())
+
+
 @mutant("PP-11")
 def a_slow_move_has_no_end(patch):
     """The last ramp of a move is left out if it is slow."""

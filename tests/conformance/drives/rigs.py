@@ -146,6 +146,7 @@ _LEAN: Final = (
     "60F8",
     "605B",
     "605D",
+    "1006",
 )
 
 DRIVES: dict[str, str] = {
@@ -288,7 +289,7 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "radians": _OF_UNITS,
     "lean": (
         *("OD-01", "OD-08", "OD-10", "PP-01", "PP-05", "PP-06", "PV-01", "PV-07", "TQ-03"),
-        *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05"),
+        *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05", "SYN-01"),
     ),
     "modes untold": ("OD-05",),
     "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09", "SDO-01"),

@@ -45,6 +45,7 @@ from motorhil.harness.conformance.clauses.helpers import (
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     DeadlineExceeded,
+    LinkError,
     Motor,
     MotorError,
     MotorState,
@@ -237,8 +238,13 @@ def error_of_lost_drive_tells_what_was_heard(bench: RigProtocol) -> None:
     move(bench, motor, 0.1 * long_move(bench))
     with bench.cut(motor):
         rest_for(bench, 2.0 * bench.facts.lost_s)
-        told = f"{failure_of(motor.position)}"
+        error, other = failure_of(motor.position), failure_of(motor.enable)
+    told = f"{error}"
     expect(any(one in told for one in _HEARD), f"the cable is cut: {told}; expected what was heard")
+    is_known = isinstance(other, LinkError)  # the motor knows by itself that it is lost
+    expect(
+        not is_known or isinstance(error, LinkError), f"{told}; but a command fails with {other}"
+    )
 
 
 @clause(

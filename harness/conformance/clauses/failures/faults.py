@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import (
@@ -44,6 +44,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ControlMode,
+    ControlVariable,
     DeadlineExceeded,
     DeviceFault,
     LinkError,
@@ -68,6 +69,9 @@ _BOUND_S: Final = 10.0
 _ERRORS: Final = (LinkError, PeerError, DeadlineExceeded, DeviceFault)
 _METHODS: Final = range(1, 38)  # CiA 402-2, 6098h
 _HERE = 37
+_TIMEOUT: Final = "timeout_s"
+_PATIENT: Final = 0.9
+_READINGS: Final = 3
 _SPOT_S: Final = 0.5
 _SEARCH_S: Final = 0.4
 _LATE_S: Final = (0.11, 0.21, 0.31)
@@ -547,6 +551,22 @@ def late_answer_is_not_taken_for_next(bench: RigProtocol) -> None:
             way = -way
         if not late:
             raise NotApplicable("the motor reads nothing by requests")
+    if Ability.SETTINGS in bench.abilities:
+        _expect_patience(bench, motor)
+
+
+def _expect_patience(bench: RigProtocol, motor: Motor) -> None:
+    """Expect positions of a drive that takes most of the stated timeout for each answer."""
+    stated = bench.stated()
+    if stated is None or _TIMEOUT not in stated.declaration.keys:
+        return
+    timeout_s: Any = stated.values.get(_TIMEOUT, stated.declaration.defaults.get(_TIMEOUT))
+    _wait_until_it_answers(bench, motor)
+    with bench.delay_answers_of(motor, _PATIENT * timeout_s):
+        for _ in range(_READINGS):
+            error = failure_of(motor.position)
+            text = f"each answer comes {_PATIENT:g} of {_TIMEOUT} = {timeout_s:g} s late: {error}"
+            expect(error is None, text)
 
 
 def _read_all(motor: Motor, watch: PositionWatch, when: str) -> None:
@@ -578,7 +598,7 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     motor, way = bench.motor, 0.3 * long_move(bench)
     own = _place_of_own_homing(bench, motor)
     move(bench, motor, way)
-    before = position_of(bench, motor)
+    before, state = position_of(bench, motor), motor.state()
     begun_ns = bench.runtime.now_ns()
     try:
         motor.home(_HERE)
@@ -589,11 +609,14 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
     took_s, most_s = elapsed_s(bench, begun_ns), _SPOT_S + bench.facts.time_tolerance_s
     expect(took_s <= most_s, f"homing on the spot took {took_s:.3f} s; limit {most_s:g} s")
     expect(motor.is_referenced(), "homed on the spot: not referenced")
+    now = motor.state()
+    expect(now is state, f"homed on the spot: {now.value}; {state.value} before")
     expect_at(bench, motor, 0.0, "homed on the spot")
     if Ability.TRUTH in bench.abilities and motor.position() != position_of(bench, motor):
         expect_unmoved(bench, motor, before, "homed on the spot")
     move(bench, motor, -way)
     expect_at(bench, motor, -way, "moved after homing on the spot")
+    expect(motor.is_referenced(), "moved after homing on the spot: not referenced any more")
     again = None if own is None else _place_of_own_homing(bench, motor)
     expect(
         own is None or again is None or abs(again - own) <= bench.facts.window,
@@ -738,6 +761,10 @@ def motor_is_referenced_at_first_if_absolute(bench: RigProtocol) -> None:
     motor.position()
     found = motor.is_referenced()
     expect(found is wanted, f"before any homing, is_referenced() is {found}; expected {wanted}")
+    if motor.logical.hooks.supports(ControlMode.TRAJECTORY, ControlVariable.POSITION):
+        move(bench, motor, 0.1 * long_move(bench))
+        moved = motor.is_referenced()
+        expect(moved is wanted, f"after a move, is_referenced() is {moved}; expected {wanted}")
 
 
 @clause(

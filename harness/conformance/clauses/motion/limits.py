@@ -15,6 +15,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_at,
     expect_moved,
+    expect_outside,
     expect_raises,
     expect_unmoved,
     failure_of,
@@ -50,6 +51,7 @@ _SAME = 1e-3  # of the distance: positions before a move are measured
 _OBJECTS = "objects"
 _SLOWER = 0.5
 _NEAR, _WITHIN = 0.3, 20.0  # long moves
+_JUST_WITHIN = 1.0 - 1e-6  # of the end of a range
 _OUT_OF_REACH = 1e9  # long moves: it would take years
 _NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 
@@ -68,7 +70,7 @@ def _expect_refused(
             facts == (motor.name, True, True) and is_told,
             f"{what}: the error lacks motor, {quantity}, value or limit: {error}",
         )
-        _expect_outside(error)
+        expect_outside(error)
         expect_unit(error, motor)
     else:
         raise Violated(f"{what} was not refused")
@@ -91,14 +93,6 @@ def expect_unit(error: LimitError, motor: Motor) -> None:
     }
     unit = next((unit for name, unit in units.items() if name in quantity), error.unit)
     expect(error.unit == unit, f"{quantity} in {error.unit}, not in {unit}: {error}")
-
-
-def _expect_outside(error: LimitError) -> None:
-    """Check that the value of this error is outside of its limits."""
-    low = -inf if error.low is None else error.low
-    high = inf if error.high is None else error.high
-    is_outside = low <= high and not low <= error.value <= high
-    expect(is_outside, f"refused, though its value is within its limits: {error}")
 
 
 def _expect_of_target(error: LimitError, motor: Motor, before: float, way: float) -> None:
@@ -395,9 +389,14 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
             follow(motor, TrapezoidalTrajectory(target))
         except (UsageError, PeerError) as error:  # in advance, or by the drive
             if isinstance(error, LimitError):
-                _expect_outside(error)
+                expect_at(
+                    bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused"
+                )
+                expect_outside(error)
                 expect_unit(error, motor)
                 _expect_of_target(error, motor, before, target)
+                _expect_end_is_taken(bench, motor, error, before + target)
+                continue
             expect_at(bench, motor, before, f"a move of {target:g} {motor.model.unit} was refused")
             continue
         if abs(share) == _OUT_OF_REACH:
@@ -406,6 +405,21 @@ def far_target_is_refused_or_reached(bench: RigProtocol) -> None:
             continue
         finish(bench, motor, shortest_s(motor, target))
         expect_at(bench, motor, before + target, f"a move of {target:g} {motor.model.unit}")
+
+
+def _expect_end_is_taken(
+    bench: RigProtocol, motor: Motor, error: LimitError, target: float
+) -> None:
+    """Expect that the drive does not refuse the end of the range that an error allows."""
+    limit = error.high if error.value > 0.0 else error.low
+    if error.quantity != "position" or not limit:
+        return
+    end = _JUST_WITHIN * target * limit / error.value
+    refused = failure_of(partial(follow, motor, TrapezoidalTrajectory(end - motor.position())))
+    is_right = refused is None or isinstance(refused, UsageError)
+    expect(is_right, f"{error}; but {end:g} {motor.model.unit} is refused with {refused!r}")
+    motor.stop()
+    finish(bench, motor)
 
 
 @clause(

@@ -12,6 +12,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     elapsed_s,
     expect_at,
     expect_moved,
+    expect_outside,
     expect_unmoved,
     failure_of,
     finish,
@@ -281,7 +282,9 @@ def position_goes_on_beyond_the_counter(bench: RigProtocol) -> None:
                 continue  # it counts from elsewhere, as some do from the place at power-on
             inwards = TrapezoidalTrajectory(-0.01 * way)
             bench.motor.enable()
-            if isinstance(failure_of(partial(follow, bench.motor, inwards)), LimitError):
+            error = failure_of(partial(follow, bench.motor, inwards))
+            if isinstance(error, LimitError):
+                expect_outside(error)
                 continue  # its own limits of position are nearer
             finish(bench, bench.motor)
             found = True
@@ -324,7 +327,9 @@ def _expect_across(bench: RigProtocol, end: float, way: float) -> None:
         before = position_of(bench, motor)
         try:
             move_exactly(bench, motor, direction * 0.1 * way, what)
-        except UsageError:  # refused
+        except UsageError as error:  # refused
+            if isinstance(error, LimitError):
+                expect_outside(error)
             expect_unmoved(bench, motor, before, f"a move was refused {what}")
             continue
         expect_moved(bench, motor, before, direction * 0.1 * way, what, 2.0)

@@ -25,6 +25,8 @@ _PERIOD_MS: Final = round(SYNC_S * 1e3)
 _ENABLE_IP: Final = 0x10
 _PUSH: Final = 200  # of 60B2h [1/1000 of 6076h]
 _COARSE_INC: Final = 4.0  # of a position unit
+_OF_VENDOR: Final = 0xFF  # upper half of the error codes of a maker
+_VENDOR_BITS: Final = 0x81  # of 1001h
 _TORQUE_NOISE: Final = 15  # of 6077h [1/1000 of 6076h]
 
 
@@ -432,7 +434,12 @@ def sync_is_lost(bench: DriveBench) -> None:
         begin_ns = drive.now_ns
         sync(drive)
         what = f"{mode}, SYNC absent for {periods} periods"
-        drive.await_emergency(code, begin_ns, what, (periods + 0.5) * period_s)
+        frame = drive.await_emergency(code, begin_ns, what, (periods + 0.5) * period_s)
+        if code >> 8 == _OF_VENDOR:
+            expected = f"{_VENDOR_BITS:02X}h: a generic error, and one of its maker"
+            register = frame.data[2]
+            is_told = register & _VENDOR_BITS == _VENDOR_BITS
+            drive.expect(is_told, f"1001h of {code:04X}h", expected, f"{register:02X}h")
         drive.await_state(State.FAULT, what, "the stated fault")
         drive.enable(mode)
         sync(drive)

@@ -5,6 +5,7 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.clauses.communication.network import RESET_COMMUNICATION
 from motorhil.harness.conformance.drives.clauses.power import fault
 from motorhil.harness.conformance.drives.drive import STATE_S
 from motorhil.harness.conformance.drives.kit import drive_clause
@@ -104,6 +105,13 @@ def faults_of_the_hardware(bench: DriveBench) -> None:
             state = drive.state()
             expected = "fault: its cause is present"
             drive.expect(state is State.FAULT, f"fault reset, {what}", expected, f"{state}")
+            if is_on and name == _CAUSES[0][0]:
+                drive.client.node.nmt.send_command(RESET_COMMUNICATION)
+                drive.boot()
+                now = drive.read(od.ERROR_REGISTER)
+                expected = f"1001h with bits 0 and {bit:02X}h: its cause is present"
+                is_told = now & (bit | _GENERIC) == bit | _GENERIC
+                drive.expect(is_told, f"reset communication, {what}", expected, f"{now:02X}h")
             bench.stimulate(name, works)
             drive.quiet()
             begin_ns = drive.now_ns

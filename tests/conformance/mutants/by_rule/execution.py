@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from tests.conformance.mutants.by_rule import benches
 from tests.conformance.mutants.by_rule.children import Tell, answers, cpu_s, limit
-from tests.conformance.mutants.by_rule.loading import hits, import_instrumented
+from tests.conformance.mutants.by_rule.loading import hits, import_all, import_instrumented
 from tests.conformance.mutants.by_rule.sources import Mutant
 from tests.support.checkout import CHECKOUT, sources
 
@@ -136,6 +136,7 @@ def before_benches(only: str = "") -> dict[str, int]:
         for bench in benches.names():
             if only in bench:
                 benches.opener(bench)
+        import_all()
         tell(_texts(hits(clear=True)))
 
     (found,) = answers(look)
@@ -246,6 +247,7 @@ def _run_all(bench: str, wanted: Collection[str], tell: Tell) -> None:
     import_instrumented()
     clauses = [key for key in benches.clauses(bench) if key in wanted]
     benches.opener(bench)
+    import_all()
     before = hits(clear=True)
     for clause in clauses:
         verdict, cost_s = _timed(clause, bench)

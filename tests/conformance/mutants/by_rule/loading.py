@@ -7,7 +7,9 @@ import ast
 import gc
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import _lru_cache_wrapper
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import CodeType, FunctionType, ModuleType
@@ -153,6 +155,13 @@ def import_afresh(changes: dict[str, Change]) -> None:
 def import_instrumented() -> None:
     """Import all sources of mutants so that they note which statements are executed."""
     import_afresh(dict.fromkeys(files(), instrumented))
+
+
+def import_all() -> None:
+    """Import all sources that can be imported, as benches import some only when they are opened."""
+    for file in files():
+        with suppress(ImportError):
+            import_module(module_of(file))
 
 
 def instrumented(file: str) -> ast.Module:

@@ -212,4 +212,5 @@ def test_child_that_imports_afresh_leaves_files_of_its_parent():
 def test_early_statements_are_known_without_measuring():
     found = before_benches("ideal")
     assert found["motorapi/model.py"]
+    assert found["motorapi/adaptations/cia402/bringup.py"]  # imported with its bench, else
     assert all(file.startswith(("motorapi/", "emulators/")) for file in found)

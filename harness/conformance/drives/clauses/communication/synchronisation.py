@@ -32,6 +32,7 @@ _29_BITS: Final = 1 << 29
 _RPDO_TIMER: Final = Entry(0x1400, 5, "H", "event timer")
 _COUNTS, _START_AT, _EVERY = 4, 3, 2
 _PERIOD_US, _WINDOW_US = 20_000, 5_000
+_PRESENT_STATE: Final = 0x0800_0022  # an abort: not in the present device state
 _PRODUCES: Final = 1 << 30
 _INVALID: Final = 1 << 31
 _NO_REMOTE: Final = 1 << 30
@@ -51,7 +52,7 @@ def counted_sync(bench: DriveBench) -> None:
         drive.expect(refused != 0, f"{_OVERFLOW} = {wrong}", "an abort", "accepted")
     rpdo = configure(drive, 0x1400, (od.CONTROLWORD,), 1)
     parameter = Entry(0x1800, 1, "I", "COB-ID")
-    drive.set(_OVERFLOW, _COUNTS)
+    _set_counter(drive)
     drive.set(parameter, drive.read(parameter) | _INVALID)
     drive.set(_SYNC_START, _START_AT)
     tpdo = configure(drive, 0x1800, (od.STATUSWORD,), _EVERY)
@@ -100,6 +101,16 @@ def counted_sync(bench: DriveBench) -> None:
     count = len(drive.client.heard(tpdo, begin_ns))
     what = f"TPDO of type {_EVERY}, {2 * _EVERY} SYNCs, 1019h = 0"
     drive.expect(count == 2, what, "2 TPDOs: no counter to wait for", f"{count}")
+
+
+def _set_counter(drive: Drive) -> None:
+    """Set 1019h, which the state of the drive does not forbid while 1006h is 0 or absent."""
+    if not drive.find(_CYCLE):
+        refused = drive.offer_value(_OVERFLOW, _COUNTS)
+        expected = f"accepted, or refused by its value: {_CYCLE} is 0 or absent"
+        is_right = refused != _PRESENT_STATE
+        drive.expect(is_right, f"{_OVERFLOW} = {_COUNTS}", expected, f"{refused:08X}h")
+    drive.set(_OVERFLOW, _COUNTS)
 
 
 def _expect_watch_in_pre_operational(drive: Drive) -> None:
