@@ -645,14 +645,8 @@ def _expect_refused_or_right(
         expect(is_named, f"{what}: {error}; expected the name {' or '.join(names)}")
         return
     try:
-        way = 0.1 * long_move(bench)
-        refused = failure_of(partial(follow, motor, TrapezoidalTrajectory(way)))
-        if isinstance(refused, UsageError):
-            is_on = motor.state() is MotorState.ENABLED
-            expect(not is_on, f"{what}: {refused}; expected nothing sent; the motor is enabled")
-            raise refused
-        finish(bench, motor)
-        before = position_of(bench, motor)
+        motor.enable()
+        before, way = position_of(bench, motor), 0.1 * long_move(bench)
         move_exactly(bench, motor, way, what)
         expect_moved(bench, motor, before, way, what)
     except UsageError as error:
