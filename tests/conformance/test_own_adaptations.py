@@ -106,7 +106,7 @@ NOT_APPLICABLE = {
             *("OPT-07", "SET-14", "LOW-13", "OTHER-02"),
             *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22", "SYNC-23"),  # on one node
             *("PROC-15", "PROC-16"),  # its program holds a motor at rest by commands
-            *("PAR-02", "FAULT-09", "MEAS-06"),
+            *("FAULT-09", "MEAS-06"),
         }
     ),
     "vesc": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-02"},
