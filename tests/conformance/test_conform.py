@@ -189,7 +189,7 @@ def test_refused_setting_raises_rig_error(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('motors = ["left", "right"]\nw', 'motors = ["left", "left"]\nw', 'left" is there twice'),
+        ('motors = ["left", "right"]\na', 'motors = ["left", "left"]\na', 'left" is there twice'),
         ('claims = ["', 'claims = ["dead_man", "', "is claimed at "),
     ],
 )

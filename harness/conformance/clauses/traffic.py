@@ -643,7 +643,11 @@ def _expect_one_sender(bench: RigProtocol, what: str) -> None:
     except UsageError:
         return
     seen = _frames_of(bench, lambda: move(bench, motor, 0.2 * long_move(bench)))
-    both = [rank for rank, is_own in seen if is_own and (rank, False) in seen]
+    both = [  # remote frames, without data, ask for what the drive sends
+        rank
+        for (rank, is_own), (_, longest) in seen.items()
+        if is_own and longest and (rank, False) in seen
+    ]
     ranks = ", ".join(f"{one:X}h" for one in both)
     expect(not both, f"{what}: frames of one identifier from host and drive, of ranks {ranks}")
 

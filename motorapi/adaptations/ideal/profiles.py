@@ -55,7 +55,7 @@ class _Law:
 
     def __init__(self, begun_ns: int, duration_s: float, place: float) -> None:
         self.begun_ns = begun_ns
-        self.place = place
+        self.place: float = place
         self.over_ns: int | None = begun_ns + round(min(duration_s, _LONGEST_S) * 1e9)
 
     def look(self, now_ns: int) -> None:

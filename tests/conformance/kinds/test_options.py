@@ -88,7 +88,6 @@ NOT_STATED = {
     "cia401 channel": "another spelling of channels",
     "cia401 objects": "the power-on values of a file",
     "leadshine_pr registers": "the power-on values of the drive",
-    "oriental_az registers": "the power-on values of the drive",
 }
 """Options that no bench states, and why; of one kind, or of all."""
 GAINS = ("servo.current_k", "servo.position_k", "servo.velocity_", "servo.acceleration_f")
