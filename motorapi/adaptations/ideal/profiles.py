@@ -176,7 +176,7 @@ class Followed(_Law):
             MotorError: it failed.
         """
         if self._motion.function is not None:
-            self.place = _place_of(self._reading, now_ns)
+            self.place: float = _place_of(self._reading, now_ns)
 
     def _reading(self, now_ns: int) -> Reading:
         demand = self._demand
