@@ -477,6 +477,28 @@ class Drive:
         """Sample an object until it reaches a value, from below or (sign = -1) from above."""
         return self.watch(entry, lambda one: sign * (one.value - value) >= 0, within_s)
 
+    def rests_when_selected(self, mode: Mode) -> None:
+        """Select a mode while the motor turns; expect it to come to rest, and to stay there.
+
+        Raises:
+            NotApplicable: the drive lacks the mode or pv, or selects no mode in motion.
+        """
+        self.require_mode(Mode.PV)
+        self.require_mode(mode)
+        pace, name = self.pace(), mode.name.lower()
+        self.write(od.TARGET_VELOCITY, pace.velocity)
+        self.enable(Mode.PV)
+        self.await_velocity(pace.velocity, 3.0 * pace.ramp_s + STATE_S)
+        if self.offer_value(od.MODE, mode):
+            raise NotApplicable(f"the drive refuses {name} in motion")
+        self.quiet()
+        if self.read(od.MODE_DISPLAY) != mode:
+            raise NotApplicable("the drive selects no mode in motion")
+        what = f"{name} selected in motion"
+        self.braked(pace.velocity, 3.0 * pace.ramp_s + STATE_S, what)
+        self.quiet(0.1)
+        self.near(od.VELOCITY, 0, 1 + pace.velocity // 50, what, "it turns on")
+
     def braked(self, from_velocity: int, within_s: float, what: str) -> float | None:
         """Watch the motor come to rest; return its deceleration [acceleration units].
 

@@ -421,18 +421,4 @@ def _takes(drive: Drive, method: int) -> bool:
 @drive_clause("HOME-10", Level.L2, source=f"{_HM}: homing starts with bit 4; 6060h, 6061h")
 def homing_begins_at_rest(bench: DriveBench) -> None:
     """Selected while the motor turns, hm brings it to rest, and keeps it there until bit 4."""
-    drive = bench.drive
-    drive.require_mode(Mode.PV)
-    drive.require_mode(Mode.HM)
-    pace = drive.pace()
-    drive.write(od.TARGET_VELOCITY, pace.velocity)
-    drive.enable(Mode.PV)
-    drive.await_velocity(pace.velocity, 3.0 * pace.ramp_s + STATE_S)
-    if drive.offer_value(od.MODE, Mode.HM):
-        raise NotApplicable("the drive refuses hm in motion")
-    drive.quiet()
-    if drive.read(od.MODE_DISPLAY) != Mode.HM:
-        raise NotApplicable("the drive selects no mode in motion")
-    drive.braked(pace.velocity, 3.0 * pace.ramp_s + STATE_S, "hm selected in motion")
-    drive.quiet(0.1)
-    drive.near(od.VELOCITY, 0, 1 + pace.velocity // 50, "hm selected in motion", "it turns on")
+    bench.drive.rests_when_selected(Mode.HM)

@@ -365,18 +365,4 @@ def gains_have_effect(bench: DriveBench) -> None:
 @drive_clause("PP-12", Level.L2, source=f"{_PP}: a set-point is taken with bit 4; 6060h, 6061h")
 def positioning_begins_at_rest(bench: DriveBench) -> None:
     """Selected while the motor turns, pp brings it to rest, and keeps it there until bit 4."""
-    drive = bench.drive
-    drive.require_mode(Mode.PV)
-    drive.require_mode(Mode.PP)
-    pace = drive.pace()
-    drive.write(od.TARGET_VELOCITY, pace.velocity)
-    drive.enable(Mode.PV)
-    drive.await_velocity(pace.velocity, 3.0 * pace.ramp_s + STATE_S)
-    if drive.offer_value(od.MODE, Mode.PP):
-        raise NotApplicable("the drive refuses pp in motion")
-    drive.quiet()
-    if drive.read(od.MODE_DISPLAY) != Mode.PP:
-        raise NotApplicable("the drive selects no mode in motion")
-    drive.braked(pace.velocity, 3.0 * pace.ramp_s + STATE_S, "pp selected in motion")
-    drive.quiet(0.1)
-    drive.near(od.VELOCITY, 0, 1 + pace.velocity // 50, "pp selected in motion", "it turns on")
+    bench.drive.rests_when_selected(Mode.PP)
