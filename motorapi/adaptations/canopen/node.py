@@ -137,8 +137,10 @@ class CanopenNode:
         Its boot-up message was lost then, and it produces no heartbeat before it is set up again.
         But it answers, and has forgotten the period of its heartbeat.
         """
+        if self.lost_since_ns is None:
+            return
         now_ns = self.link.runtime.now_ns()
-        if self.lost_since_ns is None or now_ns < self._ask_again_ns:
+        if now_ns < self._ask_again_ns:
             return
         self._ask_again_ns = now_ns + _ASK_AGAIN_NS
         with suppress(MotorError):
