@@ -202,3 +202,12 @@ def test_kind_in_place_of_controller_is_answered_with_a_name():
 def test_drive_and_adaptation_together_are_refused(capsys):
     assert main(["conform", "--controller", "drive", "--adaptation", "cia402"]) == 2
     assert "leave one of them out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("clause", ["LSS-01", "LSS-02"])
+def test_drive_beside_another_one_is_not_accused_of_its_lss(clause):
+    plant = 'plant = { preset = "wheel_60w" }\n'
+    second = f'{plant}[controller.second]\nkind = "cia402"\nbus = "can0"\nnode_id = 6\n{plant}'
+    verdict = run_clause(drive_clauses()[clause], target(second).opener())
+    assert verdict.result is Result.NOT_APPLICABLE, verdict.seen
+    assert "another device on the bus answers LSS" in verdict.seen

@@ -273,14 +273,18 @@ def _configuring(drive: Drive) -> Iterator[list[int]]:
     """Switch the drive to LSS configuration within the block; yield its LSS address.
 
     Raises:
-        NotApplicable: the drive has no LSS.
+        NotApplicable: the drive has no LSS, or others on its bus have it, too: CiA 305 configures
+            one device at a time.
     """
     drive.require(*_NUMBERS)
     numbers = [drive.read(entry) for entry in _NUMBERS]
     _lss(drive, 0x04, 1)
-    if not _lss(drive, 0x5E):
-        raise NotApplicable("the drive does not answer LSS")
     try:
+        answers = _lss(drive, 0x5E, count=2)
+        if not answers:
+            raise NotApplicable("the drive does not answer LSS")
+        if len(answers) > 1:
+            raise NotApplicable("another device on the bus answers LSS, too; try the drive alone")
         yield numbers
     finally:
         _lss(drive, 0x04, 0)
