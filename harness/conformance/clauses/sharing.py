@@ -814,6 +814,12 @@ def _enter(reserve: Callable[[], Any]) -> None:
         pass
 
 
+_STOPS_IN_A_START: Final = (
+    *((Motor.stop, 0.02), (Motor.quick_stop, 0.04), (Motor.quick_stop, 0.1)),
+    *((Motor.stop, 0.5), (Motor.quick_stop, 0.7), (Motor.stop, 0.98)),
+)
+
+
 @clause(
     "SHARE-16",
     Level.L3,
@@ -826,21 +832,22 @@ def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
     motor, other = _both(bench)
     way = long_move(bench)
     usual_s = 0.0
-    for share in (None, None, 0.02, 0.5, 0.98):  # the first start sets the drive up, too
+    for _ in range(2):  # the first start sets the drive up, too
         motor.disable()
-        before, begun_ns = position_of(bench, motor), bench.runtime.now_ns()
-        party = None
-        if share is not None:
-            party = bench.runtime.spawn("stop", partial(_stop_after, bench, other, share * usual_s))
+        begun_ns = bench.runtime.now_ns()
+        prepare(motor, way)
+        motor.start()
+        usual_s = elapsed_s(bench, begun_ns)
+        motor.stop()
+        finish(bench, motor)
+    for stop, share in _STOPS_IN_A_START:
+        motor.disable()
+        before = position_of(bench, motor)
+        party = bench.runtime.spawn("stop", partial(_after, bench, share * usual_s, stop, other))
         prepare(motor, way)
         error = failure_of(motor.start)
-        if party is None:
-            usual_s = elapsed_s(bench, begun_ns)
-            motor.stop()
-            finish(bench, motor)
-            continue
-        expect(party.join(_PATIENCE_S) and party.error is None, f"stop(): {party.error!r}")
-        what = f"{other.name} called stop() {share:.0%} into start() of {motor.name}"
+        expect(party.join(_PATIENCE_S) and party.error is None, f"its stop: {party.error!r}")
+        what = f"{other.name} called {stop.__name__}() {share:.0%} into start() of {motor.name}"
         error = error or failure_of(partial(motor.wait_until_done, _PATIENCE_S))
         is_told = isinstance(error, MotionInterrupted | MotorBusyError) and other.name in str(error)
         expect(is_told, f"{what}: {error!r}; expected that it is told of the stop")
@@ -851,6 +858,8 @@ def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
         way = -way
 
 
-def _stop_after(bench: RigProtocol, motor: Motor, time_s: float) -> None:
+def _after(
+    bench: RigProtocol, time_s: float, command: Callable[[Motor], None], motor: Motor
+) -> None:
     rest_for(bench, time_s)
-    motor.stop()
+    command(motor)

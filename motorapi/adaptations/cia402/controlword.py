@@ -248,11 +248,12 @@ class DriveControl:
             if state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
                 raise node.fault_error(self.node.label)
             word = DISABLE_VOLTAGE if state is None else _NEXT_COMMAND.get(state)
+            self.is_halted = False
             if word is not None:
                 self.write_controlword(word)
             before = "unknown" if state is None else state.value
             node.wait_for_status(
-                _differs(node, state),
+                self._left_or_stopped(state),  # a quick stop leads back to where this step began
                 _STATE_TIMEOUT_S,
                 f"leaving state {before!r} on the way to operation enabled",
             )
@@ -261,6 +262,9 @@ class DriveControl:
             timeout_s=_STEPS_MAX * _STATE_TIMEOUT_S,
             last_heard=node.describe_status(),
         )
+
+    def _left_or_stopped(self, state: PdsState | None) -> Callable[[int], bool]:
+        return lambda word: self.node.state is not state or self.is_halted
 
     def disable(self, *, stops: bool = False) -> None:
         """Switch the power stage off by disable voltage; with `stops`, without owning the drive."""
@@ -562,10 +566,6 @@ def _control_target(can_id: int, word: int, index: int, target: int) -> bytes:
     """Return the frame of an RPDO with controlword and target."""
     data = encode(OBJECTS.type_of(index, 0) or "i32", target)
     return can_frame(can_id, word.to_bytes(2, "little") + data)
-
-
-def _differs(node: DriveNode, state: PdsState | None) -> Callable[[int], bool]:
-    return lambda word: node.state is not state
 
 
 def _never() -> bool:

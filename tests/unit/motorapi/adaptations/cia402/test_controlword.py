@@ -234,3 +234,29 @@ def test_fault_with_persistent_cause_is_reported(rig: Rig):
     hw.reset_fault()
     assert hw.state is PdsState.SWITCH_ON_DISABLED
     hw.close()
+
+
+def test_a_quick_stop_at_any_moment_of_enable_does_not_end_it(open_rig: OpenRig):
+    """It leads back to a state that a poll of the status may not have seen the drive leave."""
+    rig = open_rig(drive("left", 1, motor="status_period_ms = 0"))
+    motor, runtime = rig.motors["left"], rig.runtime
+    motor.enable()
+    motor.disable()
+    begun_ns = runtime.now_ns()
+    motor.enable()
+    usual_ns = runtime.now_ns() - begun_ns
+    hit = 0
+    for part in range(50):
+        motor.disable()
+
+        def stop(after_s: float = part / 50 * usual_ns / 1e9) -> None:
+            runtime.wait_until(lambda: False, after_s)
+            motor.quick_stop()
+
+        party = runtime.spawn("stop", stop)
+        begun_ns = runtime.now_ns()
+        motor.enable()
+        hit += runtime.now_ns() - begun_ns > usual_ns
+        assert party.join(1.0)
+        assert party.error is None
+    assert hit > 10, "most stops came while nothing was to be enabled"
