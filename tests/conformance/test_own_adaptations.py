@@ -114,7 +114,7 @@ NOT_APPLICABLE = {
 
 
 _WHOLE = "cia402"
-_STRIDE = 4
+_STRIDE = 6
 
 
 def is_daily(kind, clause):
