@@ -707,7 +707,7 @@ def home_switch_is_bit_3(patch):
     )
 
 
-@mutant("DIN-02", DRIVES["backlash"])
+@mutant("DIN-02", DRIVES["much backlash"])
 def home_switch_is_at_the_motor(patch):
     """The home switch follows the encoder of the motor, not the output."""
     patch.setattr(Axis, "output_count", Axis.count)

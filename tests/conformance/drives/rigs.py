@@ -174,8 +174,12 @@ DRIVES: dict[str, str] = {
     "backlash": (
         'plant = { preset = "wheel_60w", backlash_rad = 0.0003,'
         " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
-        "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3,"
-        " home_from_rad = 0.2, home_to_rad = 0.3 }"
+        "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3 }"
+    ),
+    "much backlash": (
+        'plant = { preset = "wheel_60w", backlash_rad = 0.005,'
+        " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
+        "switches = { home_from_rad = 0.2, home_to_rad = 0.3 }"
     ),
     "play": 'plant = { preset = "wheel_60w", backlash_rad = 0.0003 }',
     "warm": (
@@ -273,9 +277,10 @@ CLAUSES: dict[str, tuple[str, ...]] = {
         "OD-10",
     ),
     "backlash": (
-        *("PLANT-11", "DIN-02", "TP-04", "HOME-06"),
+        *("PLANT-11", "TP-04", "HOME-06"),
         *("PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
     ),
+    "much backlash": ("DIN-02",),
     "play": ("PP-01", "HOME-06"),
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
     "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),

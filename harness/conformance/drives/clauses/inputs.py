@@ -30,7 +30,8 @@ _NAMES: Final = (
 )
 _RELEASED: Final = -1
 _HOME: Final = 0x4  # of 60FDh
-_PLACES: Final = 2
+_ASIDE: Final = 3.0  # [position units]
+_PUSH: Final = 0.02  # of the torque that the motor has
 _SETTLED_S: Final = 0.2
 _ON, _EVERY, _INDEX, _BY_SOURCE, _RISING, _FALLING = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 # (input of the bench, its source in 60D0h, shift of its byte, results of both edges)
@@ -79,25 +80,27 @@ def input_of_the_output(bench: DriveBench) -> None:
     drive.require_mode(Mode.PP)
     bench.require_stated("switches", "home_from_rad", "home_to_rad")
     low, high = (bench.stated["switches"][f"home_{one}_rad"] for one in ("from", "to"))
-    pace = drive.pace()
+    pace, plant = drive.pace(), bench.plant()
+    start, start_rad = drive.read(od.POSITION), bench.true_position_rad()
     per_rad = scale(bench, pace)
-    offset = drive.read(od.POSITION) - bench.true_position_rad() * per_rad
-    step = max(2.0, bench.plant()["backlash_rad"] * per_rad / _PLACES)
-    for sign in (1, -1):
-        for place in range(-_PLACES, _PLACES + 1):
-            edge = low * per_rad + offset
-            for target in (edge - sign * pace.distance(0.0), edge + place * step / 2.0):
-                drive.offer(round(target), od.IMMEDIATELY)
-                drive.await_target(round(target), 30.0 * pace.ramp_s + STATE_S, "a move")
+    edge = start + (low - start_rad) * per_rad
+    aside = max(_ASIDE, 0.25 * plant["backlash_rad"] * abs(per_rad))
+    push = _PUSH * plant["current_max_a"] * plant["torque_constant_n_m_a"] * plant["gear_ratio"]
+    push = abs(push) + plant["output_coulomb_friction_n_m"]
+    for target in (round(edge - aside), round(edge + aside)):
+        drive.offer(target, od.IMMEDIATELY)
+        drive.await_target(target, 30.0 * pace.ramp_s + STATE_S, "a move")
+        for load in (push, -push):
+            bench.stimulate("load_torque_n_m", load)
             drive.quiet(_SETTLED_S)
             true_rad, seen = bench.true_position_rad(), bool(drive.read(od.INPUTS) & _HOME)
-            if min(abs(true_rad - low), abs(true_rad - high)) * per_rad <= 1.0:
+            if min(abs(true_rad - low), abs(true_rad - high)) * abs(per_rad) <= 1.0:
                 continue
-            what = f"bit 2 of 60FDh, the output at {true_rad:.5f} rad, the motor at"
-            what = f"{what} {drive.read(od.POSITION)}"
+            what = f"bit 2 of 60FDh, the output at {true_rad:.5f} rad, the motor at {target}"
             wanted = low <= true_rad < high
             expected = f"{int(wanted)}: the switch is on from {low:g} to {high:g} rad"
             drive.expect(seen is wanted, what, expected, f"{int(seen)}")
+        bench.stimulate("load_torque_n_m", 0.0)
 
 
 def _run_into(bench: DriveBench, pace: Pace, sign: int, mode: Mode) -> None:
