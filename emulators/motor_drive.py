@@ -223,8 +223,8 @@ class MotorDrive(ABC):
         if name not in (*own, *_INPUTS):
             known = ", ".join((*_INPUTS, *own))
             raise ValueError(f"there is no stimulus {name!r}; known: {known}")
-        low, high = own.get(name, RANGES["load_torque_n_m"])
-        if name in (*own, "load_torque_n_m") and not low <= value <= high:
+        low, high = own.get(name) or RANGES.get(name, (value, value))
+        if not low <= value <= high:
             raise ValueError(f"{name} = {value}: out of range; expected {low:g} to {high:g}")
         if name == "fault" and not (float(value).is_integer() and int(value) in self._faults):
             codes = _listed(self._faults)

@@ -65,6 +65,8 @@ _SWITCHES: Final = ("negative_limit", "positive_limit", "home", "interlock")
 """Digital inputs, which follow their switches while they are released."""
 _RELEASED: Final = -1.0
 _NEITHER: Final = 1e9 + 0.5
+_IN_UNITS: Final = ("_c", "_v")
+"""Ends of the names of inputs in degrees Celsius and in volts, none of which can be so large."""
 _ALLOWED: Final = re.compile(r"expected (-?\d[-\d.e+, to]*)")
 _BOOTED_S: Final = 0.5
 _STIFFNESS: Final = "coupling_stiffness_n_m_rad"
@@ -699,15 +701,19 @@ def impossible_inputs_are_refused_with_limits(bench: RigProtocol) -> None:
         is_told = name in text and any(one in text for one in (f"{value:g}", f"{value}"))
         expect(is_told, f"{name} = {value:g}: {text or 'taken'}; expected a refusal with the value")
     for name in (*_SWITCHES, *known):
-        if name in (_LOAD, _POWER, *_RANGED) or name not in known:
+        if name in (_LOAD, _POWER) or name not in known:
             continue
         if name in _SWITCHES:
             for value in (0.0, 1.0, _RELEASED):
                 text = bench.refusal(motor, name, value)
                 expect(not text, f"{name} = {value:g} (off, on or released): {text}")
         text = bench.refusal(motor, name, _NEITHER)
+        if name.endswith(_IN_UNITS):
+            values, told = (f"{_NEITHER:g}", f"{_NEITHER}"), text or "taken"
+            is_told = name in text and any(one in text for one in values)
+            expect(is_told, f"{name} = {_NEITHER}: {told}; expected a refusal with the value")
         found = _ALLOWED.search(text)
-        if found is None:
+        if found is None or name in _RANGED:
             continue
         numbers = [float(one) for one in found[1].replace(" to ", ", ").split(", ")]
         for value in numbers:
@@ -740,6 +746,8 @@ def odd_settings_of_a_drive_are_told(bench: RigProtocol) -> None:
         return
     _expect_told(bench, {"quirks": {"statusword_bits": {"bits": 0x4000}}}, "bits = 0x4000")
     _expect_told(bench, {"quirks": {"late_boot_up": {"by_s": 0.125}}}, "by_s = 0.125")
+    if "eds" not in values:  # its own one claims no other modes
+        _expect_told(bench, {}, "not emulated", not_so=True)
     objects = dict(values.get("objects", {}))  # type: ignore[call-overload]
     _expect_told(bench, {"objects": {**objects, "1A00h:1": 0xFFFF_0008}}, "FFFF0008h")
     for key, wrong in (("6081h", "fast"), ("6081h", 1.5), ("6081h", -1)):

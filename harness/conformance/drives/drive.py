@@ -489,6 +489,8 @@ class Drive:
         self.write(od.TARGET_VELOCITY, pace.velocity)
         self.enable(Mode.PV)
         self.await_velocity(pace.velocity, 3.0 * pace.ramp_s + STATE_S)
+        if mode is Mode.CSP:  # which may move there
+            self.write(od.TARGET_POSITION, self.read(od.POSITION) + pace.distance(0.0))
         if self.offer_value(od.MODE, mode):
             raise NotApplicable(f"the drive refuses {name} in motion")
         self.quiet()

@@ -707,6 +707,12 @@ def home_switch_is_bit_3(patch):
     )
 
 
+@mutant("DIN-02", DRIVES["much backlash"])
+def home_switch_is_at_the_motor(patch):
+    """The home switch follows the encoder of the motor, not the output."""
+    patch.setattr(Axis, "output_count", Axis.count)
+
+
 @mutant("LSW-01")
 def limit_switch_is_ignored(patch):
     """A limit switch has no effect on the motion."""
@@ -743,6 +749,16 @@ def a_left_mode_stays_limited(patch):
 def hm_lets_the_motor_turn(patch):
     """hm leaves a motor in motion as it is."""
     _always(patch, homing.Homing, "enter", None)
+
+
+@mutant("HOME-11")
+def homing_fails_in_the_tick_of_its_mode(patch):
+    """Homing fails if it is started in the tick in which hm is selected."""
+
+    def make(good):
+        return lambda self: good(self) or bool(self.axis.flags & flags.PROFILE_ACTIVE)
+
+    _wrap(patch, homing.Homing, "_moves", make)
 
 
 @mutant("PP-12")
@@ -1050,6 +1066,17 @@ def velocity_limit_is_ignored_in_csp(patch):
         )
 
     _wrap(patch, Axis, "follow", make)
+
+
+@mutant("CSP-08")
+def csp_lets_the_motor_turn(patch):
+    """csp leaves a motor in motion as it is, until its first target."""
+    patch.setattr(cyclic.CyclicPosition, "enter", cyclic.CyclicMode.enter)
+
+
+@mutant("IP-05", 'objects = { "60C0h" = 1 }')
+def interpolation_is_of_a_reserved_kind(patch):
+    """60C0h says 1, which is reserved."""
 
 
 @mutant("CSP-07")

@@ -136,6 +136,8 @@ _RADIANS: Final = (
 _ELASTIC: Final = (
     "backlash_rad = 0.0003, coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0"
 )
+_SUB_MODE: Final = "AccessType=rww\n{}PDOMapping=1\n\n[60C1]"
+_SAYS_LESS: Final = ((_SUB_MODE.format("DefaultValue=0\n"), _SUB_MODE.format("")),)
 _LEAN: Final = (
     "6084",
     "6085",
@@ -173,6 +175,11 @@ DRIVES: dict[str, str] = {
         'plant = { preset = "wheel_60w", backlash_rad = 0.0003,'
         " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
         "switches = { touch_probe_1_from_rad = 0.2, touch_probe_1_to_rad = 0.3 }"
+    ),
+    "much backlash": (
+        'plant = { preset = "wheel_60w", backlash_rad = 0.005,'
+        " coupling_stiffness_n_m_rad = 2000.0, coupling_damping_n_m_s_rad = 5.0 }\n"
+        "switches = { home_from_rad = 0.2, home_to_rad = 0.3 }"
     ),
     "play": 'plant = { preset = "wheel_60w", backlash_rad = 0.0003 }',
     "warm": (
@@ -237,10 +244,11 @@ DRIVES: dict[str, str] = {
         'objects = { "6081h" = 2000, "6083h" = 4000, "6084h" = 4000, "6085h" = 8000 }'
     ),
     "lean": (
-        f'eds = "{_eds("lean", without=_LEAN)}"\n'
+        f'eds = "{_eds("lean", without=_LEAN, changed=_SAYS_LESS)}"\n'
         'objects = { "6085h" = 400000, "1029h:1" = 1, "60C5h" = 300000 }\n'
         "switches = { index_pulse = false }"
     ),
+    "commanded at power-on": 'objects = { "6040h" = 6 }',
     "modes untold": f'eds = "{_eds("modes untold", without=("6071", "6502"))}"',
     "unusual file": f'eds = "{_eds("unusual", without=("606D",), added=_UNUSUAL, changed=_ODD)}"',
     "no error behaviour": f'eds = "{_eds("no error behaviour", without=("1029",))}"',
@@ -253,7 +261,10 @@ _QUEUED: Final = ("PP-03", "PP-06")  # the next set-point, and the rest of a mov
 _OF_UNITS: Final = ("VAL-01", "PV-02", "PV-03", "PP-01", "OD-01", "FAC-01", "HOME-01", "TQ-05")
 _OF_SWITCHES: Final = tuple(f"HOME-{number:02}" for number in range(1, 10))
 CLAUSES: dict[str, tuple[str, ...]] = {
-    "switches": (*_OF_SWITCHES, "TP-01", "TP-02", "TP-04", "DIN-01", "LSW-01", "LSW-02", "LIM-01"),
+    "switches": (
+        *(*_OF_SWITCHES, "TP-01", "TP-02", "TP-04"),
+        *("DIN-01", "DIN-02", "LSW-01", "LSW-02", "LIM-01"),
+    ),
     "units": (
         *_OF_UNITS,
         "PV-05",
@@ -265,7 +276,11 @@ CLAUSES: dict[str, tuple[str, ...]] = {
         "PV-08",
         "OD-10",
     ),
-    "backlash": ("PLANT-11", "TP-04", "HOME-06", "PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    "backlash": (
+        *("PLANT-11", "TP-04", "HOME-06"),
+        *("PP-01", "TQ-01", "CST-01", "STOP-05", "CSP-01"),
+    ),
+    "much backlash": ("DIN-02",),
     "play": ("PP-01", "HOME-06"),
     "own clock": ("NMT-03", "PP-01", "PDO-07", "PV-02", "CSP-01", "LSW-01", "ERR-03", "NMT-01"),
     "position and homing only": ("OD-05", "PP-01", "HOME-01", "HOME-02", "STOP-01", "LIM-01"),
@@ -289,8 +304,9 @@ CLAUSES: dict[str, tuple[str, ...]] = {
     "radians": _OF_UNITS,
     "lean": (
         *("OD-01", "OD-08", "OD-10", "PP-01", "PP-05", "PP-06", "PV-01", "PV-07", "TQ-03"),
-        *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05", "SYN-01"),
+        *("STOP-04", "STOP-05", "STOP-12", "ERR-01", "NMT-05", "SYN-01", "IP-05"),
     ),
+    "commanded at power-on": ("OD-10",),
     "modes untold": ("OD-05",),
     "unusual file": ("PDO-10", "PDO-09", "PDO-12", "OD-09", "SDO-01"),
     "no error behaviour": ("NMT-04", "PP-01"),

@@ -55,6 +55,7 @@ NEEDS_STATEMENTS = {
     "VAL-02",
     "VAL-04",
     "PLANT-11",
+    "DIN-02",
 } | {f"PLANT-0{number}" for number in range(1, 10)}
 """Clauses about switches, monitoring and objects that the kit's own drive does not have."""
 

@@ -251,6 +251,11 @@ def test_causes_are_the_codes_of_active_flags_in_order(on_can):
     assert on_can.causes() == [7]
 
 
+def test_supply_beyond_its_range_is_refused_with_it(on_can):
+    with pytest.raises(ValueError, match=r"supply_v = 1000000000.5: .* 0.001 to 1e\+06"):
+        on_can.stimulate("supply_v", 1e9 + 0.5, MS)
+
+
 def test_clock_that_is_not_ideal_is_told():
     settings = {"node_id": 1, "plant": PLANT, "oscillator": {"ppm": 50.0}}
     ((level, text),) = drive_builder(Table, CanDrive, api=1)(settings, CONTEXT).take_events()

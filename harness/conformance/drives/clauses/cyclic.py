@@ -72,6 +72,14 @@ def cyclic_position(bench: DriveBench) -> None:
     )
 
 
+@drive_clause("CSP-08", Level.L4, source=f"{_CSP}: moves to 607Ah; 6060h, 6061h")
+def cyclic_position_begins_at_rest(bench: DriveBench) -> None:
+    """Selected while the motor turns, csp brings it to rest, if 607Ah stays as it is."""
+    if bench.is_real:
+        raise NotApplicable("a real motor might jump to 607Ah")
+    bench.drive.rests_when_selected(Mode.CSP)
+
+
 @drive_clause("CSV-01", Level.L4, source="CiA 402-2, cyclic synchronous velocity mode, 60FFh")
 def cyclic_velocity(bench: DriveBench) -> None:
     """In csv, 60FFh by a synchronous RPDO takes effect at SYNC, in both directions."""
@@ -404,6 +412,20 @@ def cyclic_torque(bench: DriveBench) -> None:
     drive.command(od.ENABLE)
     stream.send(torque // 2, 4)
     drive.near(od.TORQUE, torque // 2, _TORQUE_NOISE, "halt ended in cst", "halt stays")
+    drive.command(od.DISABLE_VOLTAGE)
+    _expect_no_kick(drive)
+
+
+def _expect_no_kick(drive: Drive) -> None:
+    """Expect no torque from the begin of cst on, if 6071h is 0; 60C2h is the time of its ramp."""
+    drive.offer_value(od.PERIOD, 3 * _PERIOD_MS)
+    drive.write(od.TARGET_TORQUE, 0)
+    drive.enable(Mode.CST)
+    track = drive.watch(od.TORQUE, lambda _: False, 2.0 * SYNC_S)
+    most = max((one.value for one in track), key=abs)
+    what = "6077h after cst is enabled with 6071h = 0"
+    expected, cause = f"0 +- {_TORQUE_NOISE}", "its first ramp begins at another torque"
+    drive.expect(abs(most) <= _TORQUE_NOISE, what, expected, f"{most}", cause)
 
 
 @drive_clause("CYC-01", Level.L5, source="The rig: cyclic.sync_lost_periods; CiA 402-2, 60C2h")
@@ -620,6 +642,16 @@ def interpolation_buffer(bench: DriveBench) -> None:
             code = drive.offer_value(od.IP_SIZE, wrong)
             drive.expect(code != 0, f"60C4h:2 = {wrong}", "an abort code", "accepted")
         drive.write(od.IP_SIZE, most)
+
+
+@drive_clause("IP-05", Level.L4, source=f"{_IP}, interpolation sub mode select 60C0h")
+def sub_mode_is_known(bench: DriveBench) -> None:
+    """60C0h is 0 (linear) or negative (of the maker) at power-on; the others are reserved."""
+    drive = bench.drive
+    drive.require_mode(Mode.IP)
+    drive.require(od.IP_SUB_MODE)
+    mode = drive.read(od.IP_SUB_MODE)
+    drive.expect(mode <= 0, f"{od.IP_SUB_MODE}", "0 or negative", f"{mode}", "a reserved one")
 
 
 @drive_clause("IP-04", Level.L4, source=f"{_IP}, 607Dh; statusword bit 11")

@@ -10,7 +10,7 @@ from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.device_file import StatedObject
 from motorhil.harness.conformance.drives.drive import ABSENT, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
-from motorhil.harness.conformance.drives.objects import Entry, Mode
+from motorhil.harness.conformance.drives.objects import Entry, Mode, State
 
 _CIA_301: Final = "CiA 301, 7.2.4.3.17, SDO abort codes"
 _PROFILE: Final = 402
@@ -26,7 +26,12 @@ _NO_SUBINDEX: Final = 0x0609_0011
 _READ_ONLY: Final = (0x0601_0002, 0x0601_0000)
 _LENGTHS: Final = (0x0607_0010, 0x0607_0012, 0x0607_0013)
 _VALUES: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0609_0036, 0x0800_0000, 0x0800_0020)
-
+_COMMANDED: Final = {
+    od.SHUTDOWN: State.READY_TO_SWITCH_ON,
+    od.SWITCH_ON: State.SWITCHED_ON,
+    od.ENABLE: State.OPERATION_ENABLED,
+}
+"""The states that levels of 6040h command."""
 _TARGETS: Final = {
     **dict.fromkeys((Mode.PP, Mode.CSP), od.TARGET_POSITION),
     **dict.fromkeys((Mode.PV, Mode.CSV), od.TARGET_VELOCITY),
@@ -256,7 +261,10 @@ def dictionary_is_that_of_its_file(bench: DriveBench) -> None:
 
 @drive_clause("OD-10", Level.L0, source="The rig: objects; CiA 306, DefaultValue")
 def objects_of_the_rig(bench: DriveBench) -> None:
-    """Each object has at power-on the value that the rig states, if the drive shows it."""
+    """Each object has at power-on the value that the rig states, if the drive shows it.
+
+    The drive obeys such a value of 6040h.
+    """
     stated = bench.stated.get("objects", {})
     if bench.is_real or not stated:
         raise NotApplicable("the rig states no objects of an emulated drive")
@@ -271,6 +279,9 @@ def objects_of_the_rig(bench: DriveBench) -> None:
         seen = int.from_bytes(data, "little")
         is_right = not (seen ^ wanted) & (1 << 8 * len(data)) - 1
         drive.expect(is_right, f'"{key}" of the rig', f"{wanted}", f"{data.hex(' ')}")
+    commanded = _COMMANDED.get(drive.read(od.CONTROLWORD))
+    if commanded is not None and any(key.startswith("6040") for key in stated):
+        drive.await_state(commanded, "power-on, with 6040h of the rig", "as 6040h commands")
 
 
 def _expect_text_again(drive: Drive, stated: StatedObject) -> None:

@@ -52,7 +52,12 @@ def emergency(bench: DriveBench) -> None:
     begin_ns = drive.now_ns
     drive.command(0)
     drive.become(State.SWITCH_ON_DISABLED, od.FAULT_RESET, "transition 15")
-    drive.await_emergency(0x0000, begin_ns, "fault reset")
+    ended = drive.await_emergency(0x0000, begin_ns, "fault reset")
+    if "emcy_vendor_bytes" in bench.stated.get("quirks", ()):
+        what = "quirk emcy_vendor_bytes: bytes 3 to 7 of the EMCY of a fault"
+        drive.expect(any(frame.data[3:]), what, "not all 0", frame.data.hex(" "))
+        what = "quirk emcy_vendor_bytes: bytes 3 to 7 of EMCY 0000h"
+        drive.expect(not any(ended.data[3:]), what, "0: it is no error", ended.data.hex(" "))
     register = drive.read(od.ERROR_REGISTER)
     drive.expect(register == 0, "1001h after the fault reset", "00h", f"{register:02X}h")
 

@@ -1,5 +1,6 @@
 """Homing: home by position, switch and index pulse, home offset, bits 10, 12 and 13."""
 
+import struct
 from collections.abc import Sequence
 from math import pi
 from typing import Final
@@ -7,6 +8,11 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.clauses.communication.process_data import (
+    configure,
+    operational,
+    quiet_other_pdos,
+)
 from motorhil.harness.conformance.drives.drive import STATE_S, Drive, Pace
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Mode
@@ -17,6 +23,8 @@ _RESERVED: Final = (15, 16, 31, 32)
 _SETTLED_S: Final = 0.3
 _OFFSET: Final = 1000
 _SEARCH_S: Final = 60.0
+_TRIES: Final = 5
+_APART_S: Final = 0.0003
 # CiA 402-2, homing methods: the edge by method, and the direction in which it is passed; methods
 # 1 to 14 go on from there to the next index pulse. A cam is active between its two edges.
 _NEGATIVE, _POSITIVE, _LEFT, _RIGHT = "negative_limit", "positive_limit", "home_from", "home_to"
@@ -338,6 +346,14 @@ def homing_is_interrupted(bench: DriveBench) -> None:
     drive.quiet(0.2)
     expected, moved = "no motion: bit 4 was 1 before", abs(drive.read(od.VELOCITY_DEMAND))
     drive.expect(moved == 0, "halt ended", expected, f"606Bh = {moved}")
+    for name in ("home", "negative_limit"):
+        bench.stimulate(name, 1)
+        drive.quiet(0.1)
+        word, moved = drive.statusword(), abs(drive.read(od.VELOCITY_DEMAND))
+        seen = f"6041h = {word:04X}h, 606Bh = {moved}"
+        is_over = moved == 0 and not word & (od.BIT_12 | od.BIT_13)
+        drive.expect(is_over, f"{name} on, homing over", "no effect", seen, "homing is not over")
+        bench.stimulate(name, -1)
 
 
 @drive_clause("HOME-08", Level.L2, source=f"{_HM}, statusword bits 12 and 13: homing error")
@@ -422,3 +438,39 @@ def _takes(drive: Drive, method: int) -> bool:
 def homing_begins_at_rest(bench: DriveBench) -> None:
     """Selected while the motor turns, hm brings it to rest, and keeps it there until bit 4."""
     bench.drive.rests_when_selected(Mode.HM)
+
+
+@drive_clause("HOME-11", Level.L2, source=f"{_HM}: homing starts with bit 4; 6060h, 6061h")
+def homing_starts_at_once(bench: DriveBench) -> None:
+    """Homing can be started as soon as a TPDO tells that 6061h is 6; it succeeds all the same."""
+    drive = bench.drive
+    drive.require_mode(Mode.HM)
+    drive.require_mode(Mode.PP)
+    if not any(_takes(drive, one) for one in _CURRENT_POSITION):
+        raise NotApplicable("6098h takes neither 37 nor 35")
+    commands = configure(drive, 0x1400, (od.CONTROLWORD, od.MODE), 255)
+    told = configure(drive, 0x1800, (od.MODE_DISPLAY,), 255)
+    quiet_other_pdos(drive, 0x1800)
+    operational(drive)
+    shown, word = struct.pack("<b", Mode.HM), 0
+    for place in range(_TRIES):
+        drive.enable(Mode.PP)
+        drive.quiet(place * _APART_S)
+        begin_ns = drive.now_ns
+        drive.client.send(commands, struct.pack("<Hb", od.ENABLE, Mode.HM))
+        is_told = drive.client.wait_for(
+            lambda begin_ns=begin_ns: any(  # type: ignore[misc]  # mypy#15459
+                one.data == shown for one in drive.client.heard(told, begin_ns)
+            ),
+            STATE_S,
+        )
+        if not is_told:
+            raise NotApplicable("the drive tells no change of 6061h, or selects no mode enabled")
+        start = struct.pack("<Hb", od.ENABLE | od.START_HOMING, Mode.HM)
+        drive.client.send(commands, start)
+        drive.until(lambda word: bool(word & (od.BIT_12 | od.BIT_13)), 2.0 * STATE_S)
+        word = drive.statusword()
+        is_done = word & (od.BIT_12 | od.BIT_13) == od.BIT_12
+        seen = f"6041h = {word:04X}h"
+        cause = "hm is shown before it can start"
+        drive.expect(is_done, "homing, as soon as 6061h = 6", "bits 12, 13 = 1, 0", seen, cause)

@@ -29,6 +29,10 @@ _NAMES: Final = (
     ("interlock", 0x8),
 )
 _RELEASED: Final = -1
+_HOME: Final = 0x4  # of 60FDh
+_ASIDE: Final = 3.0  # [position units]
+_PUSH: Final = 0.02  # of the torque that the motor has
+_SETTLED_S: Final = 0.2
 _ON, _EVERY, _INDEX, _BY_SOURCE, _RISING, _FALLING = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 # (input of the bench, its source in 60D0h, shift of its byte, results of both edges)
 _PROBES: Final = (("touch_probe_1", 1, 0, 0x60BA, 0x60D5), ("touch_probe_2", 2, 8, 0x60BC, 0x60D7))
@@ -66,6 +70,37 @@ def inputs_are_shown(bench: DriveBench) -> None:
                 drive.expect(data == [seen], what, f"one TPDO with {seen:X}h", f"{data}", cause)
         _level(bench, name, _RELEASED)
     drive.near(od.INPUTS, own, 0, "all inputs as before")
+
+
+@drive_clause("DIN-02", Level.L1, source=f"{_INPUTS}, bit 2; the rig: switches, backlash_rad")
+def input_of_the_output(bench: DriveBench) -> None:
+    """60FDh shows the home switch where the output is, wherever backlash lets the motor be."""
+    drive = bench.drive
+    drive.require(od.INPUTS)
+    drive.require_mode(Mode.PP)
+    bench.require_stated("switches", "home_from_rad", "home_to_rad")
+    low, high = (bench.stated["switches"][f"home_{one}_rad"] for one in ("from", "to"))
+    pace, plant = drive.pace(), bench.plant()
+    start, start_rad = drive.read(od.POSITION), bench.true_position_rad()
+    per_rad = scale(bench, pace)
+    edge = start + (low - start_rad) * per_rad
+    aside = max(_ASIDE, 0.25 * plant["backlash_rad"] * abs(per_rad))
+    push = _PUSH * plant["current_max_a"] * plant["torque_constant_n_m_a"] * plant["gear_ratio"]
+    push = abs(push) + plant["output_coulomb_friction_n_m"]
+    for target in (round(edge - aside), round(edge + aside)):
+        drive.offer(target, od.IMMEDIATELY)
+        drive.await_target(target, 30.0 * pace.ramp_s + STATE_S, "a move")
+        for load in (push, -push):
+            bench.stimulate("load_torque_n_m", load)
+            drive.quiet(_SETTLED_S)
+            true_rad, seen = bench.true_position_rad(), bool(drive.read(od.INPUTS) & _HOME)
+            if min(abs(true_rad - low), abs(true_rad - high)) * abs(per_rad) <= 1.0:
+                continue
+            what = f"bit 2 of 60FDh, the output at {true_rad:.5f} rad, the motor at {target}"
+            wanted = low <= true_rad < high
+            expected = f"{int(wanted)}: the switch is on from {low:g} to {high:g} rad"
+            drive.expect(seen is wanted, what, expected, f"{int(seen)}")
+        bench.stimulate("load_torque_n_m", 0.0)
 
 
 def _run_into(bench: DriveBench, pace: Pace, sign: int, mode: Mode) -> None:

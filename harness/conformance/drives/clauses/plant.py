@@ -4,6 +4,7 @@ Other clauses compare with its true values. Here these are compared with physics
 rig states, integrated once more, or in closed form.
 """
 
+import struct
 from collections.abc import Iterator
 from itertools import pairwise
 from math import asin, cos, hypot, log, pi, sin
@@ -13,11 +14,13 @@ from typing import Final
 from motorhil.harness.conformance.clause import Level, NotApplicable
 from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
+from motorhil.harness.conformance.drives.clauses.homing import scale
 from motorhil.harness.conformance.drives.drive import Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Mode, State
 
 _STEP_S: Final = 0.001
+_TRUE_SAMPLES: Final = 50
 _HEAT: Final = (
     "thermal_resistance_winding_housing_k_w",
     "thermal_resistance_housing_ambient_k_w",
@@ -530,7 +533,30 @@ def wakes_are_late(bench: DriveBench) -> None:
     expected = f"{0.3 * jitter_ms:.2f} ms to {0.7 * jitter_ms:.2f} ms"
     is_right = 0.3 * jitter_ms <= mean <= 0.7 * jitter_ms
     drive.expect(is_right, "mean lateness", expected, f"{mean:.2f} ms", "lateness is not even")
+    if drive.has_mode(Mode.PP):
+        drive.write(od.HEARTBEAT_PRODUCER, max(1, round(3.0 * jitter_ms)))
+        _expect_true_position(bench, jitter_ms / 1e3)
     drive.write(od.HEARTBEAT_PRODUCER, 0)
+
+
+def _expect_true_position(bench: DriveBench, jitter_s: float) -> None:
+    """Expect 6064h of a turning motor to be true, but for the time that it takes to tell."""
+    drive = bench.drive
+    pace = drive.pace()
+    per_rad = scale(bench, pace)
+    drive.cruise(pace)
+    slack = drive.window() + pace.speed * 2.0 * (pace.sample_s + jitter_s)
+    first, first_rad = drive.read(od.POSITION), bench.true_position_rad()
+    request = struct.pack("<BHB4x", 0x40, od.POSITION.index, od.POSITION.subindex)
+    for _ in range(_TRUE_SAMPLES):
+        asked = drive.client.send(0x600 + drive.node_id, request)
+        true = (bench.true_position_rad() - first_rad) * per_rad
+        drive.quiet(2.0 * (pace.sample_s + jitter_s))
+        answers = drive.client.heard(0x580 + drive.node_id, asked.time_ns)
+        drive.expect(bool(answers), "upload of 6064h in motion", "an answer", "none")
+        told = int.from_bytes(answers[0].data[4:8], "little", signed=True) - first
+        _near(drive, told, true, slack, "6064h in motion, beside the true position", "units")
+    drive.command(od.DISABLE_VOLTAGE)
 
 
 @drive_clause("PLANT-12", Level.L2, source=f"{_MODEL}inertia and friction")

@@ -22,6 +22,7 @@ _GAINS: Final = {
 _CODES: Final = {1: "B", 2: "H", 4: "I"}  # by the number of bytes
 _HALTS: Final = 4
 _MOST_HALTS: Final = 100
+_CRUISING_S: Final = 0.3
 _NO_WINDOW: Final = 0xFFFF_FFFF
 _SLOW_INC_S: Final = 500.0  # speed of a slow move [increments/s]
 
@@ -360,6 +361,27 @@ def gains_have_effect(bench: DriveBench) -> None:
     is_back = abs(again - own) < abs(halved - own)
     expected = f"nearer to {own} than {halved}"
     drive.expect(is_back, f"{what}, then as before", expected, f"{again}", "gains stay halved")
+    _expect_no_jump(drive, pace, gains)
+
+
+def _expect_no_jump(drive: Drive, pace: Pace, gains: dict[Entry, int]) -> None:
+    """Expect a turning motor to turn on steadily while its gains are halved."""
+    drive.enable_at_rest(Mode.PP, 2.0 * pace.ramp_s)
+    drive.offer(drive.read(od.POSITION) + pace.distance(3.0 * _CRUISING_S), od.IMMEDIATELY)
+    drive.quiet(pace.ramp_s + _CRUISING_S)
+    for entry, value in gains.items():
+        drive.write(entry, value // 2)
+    track = drive.watch(od.POSITION, lambda _: False, _CRUISING_S)
+    drive.command(od.DISABLE_VOLTAGE)
+    slack = drive.window() + 2.0 * pace.speed * pace.sample_s  # a sample is of any time in it
+    span = (drive.find(od.RANGE_MAX) or 0) - (drive.find(od.RANGE_MIN) or 0)
+    for before, after in pairwise(track):
+        if 0 < span < 2 * abs(after.value - before.value):
+            continue  # from one end of 607Bh to the other
+        way, took_s = after.value - before.value, (after.time_ns - before.time_ns) / 1e9
+        expected = f"at most {1.5 * pace.speed * took_s + slack:.0f} in {took_s:.4f} s"
+        is_steady = abs(way) <= 1.5 * pace.speed * took_s + slack
+        drive.expect(is_steady, "gains halved in motion: way of 6064h", expected, f"{way}")
 
 
 @drive_clause("PP-12", Level.L2, source=f"{_PP}: a set-point is taken with bit 4; 6060h, 6061h")

@@ -70,9 +70,12 @@ def quick_stop_slow_down(bench: DriveBench) -> None:
     _at_rest(drive, pace, State.SWITCH_ON_DISABLED, f"{what}: transition 12")
 
 
-@drive_clause("STOP-03", Level.L2, source=f"{_QUICK_STOP} = 5 and 6; transition 16")
+@drive_clause("STOP-03", Level.L2, source=f"{_QUICK_STOP} = 5 and 6; transition 16; bit 10")
 def quick_stop_stays(bench: DriveBench) -> None:
-    """With 605Ah = 5 (6084h) or 6 (6085h) the drive stays in quick stop active until enabled."""
+    """With 605Ah = 5 (6084h) or 6 (6085h) the drive stays in quick stop active until enabled.
+
+    Once it is at rest, bit 10 of 6041h is 1.
+    """
     for option in (5, 6):
         drive, pace, slow = _moving(bench, od.QUICK_STOP_OPTION, *_RAMPS)
         drive.set(od.QUICK_STOP_OPTION, option)
@@ -85,6 +88,9 @@ def quick_stop_stays(bench: DriveBench) -> None:
         state = drive.state()
         expected = "quick stop active, at rest too"
         drive.expect(state is State.QUICK_STOP_ACTIVE, what, expected, f"{state}")
+        ended = drive.until(lambda word: word & od.TARGET_REACHED != 0, STATE_S)
+        seen = f"{drive.statusword():04X}h"
+        drive.expect(ended is not None, f"{what}, at rest", "bit 10 = 1", seen, "bit 10 is stale")
         drive.write(od.TARGET_VELOCITY, 0)
         drive.become(State.OPERATION_ENABLED, od.ENABLE, "transition 16")
         drive.become(State.SWITCH_ON_DISABLED, od.DISABLE_VOLTAGE, "transition 9")

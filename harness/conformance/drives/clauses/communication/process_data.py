@@ -19,6 +19,8 @@ _INVALID: Final = 0x8000_0000
 _INHIBIT_MS: Final = 50
 _TIMER_MS: Final = 40
 SYNC_S: Final = 0.01
+_PRE_OPERATIONAL: Final = 0x80
+_LATER: Final = 0x480  # an identifier
 _JITTER_MS: Final = 1.0
 _FSA_WORDS: Final = (od.SHUTDOWN, od.SWITCH_ON, od.SHUTDOWN, od.DISABLE_VOLTAGE)
 
@@ -31,8 +33,11 @@ def configure(
     *,
     inhibit: int = 0,
     timer: int = 0,
+    identifier: int = 0,
 ) -> int:
     """Map objects to the first PDO at 1400h or 1800h; return its identifier.
+
+    It keeps its own identifier, if it has one, or takes `identifier`.
 
     Raises:
         NotApplicable: the drive does not take this mapping or type.
@@ -41,7 +46,8 @@ def configure(
     cob_id = drive.find(parameter)
     if cob_id is None:
         raise NotApplicable(f"the drive has no {first:04X}h")
-    identifier = cob_id & 0x7FF or (0x200 if first == 0x1400 else 0x180) + drive.node_id
+    usual = (0x200 if first == 0x1400 else 0x180) + drive.node_id
+    identifier = identifier or cob_id & 0x7FF or usual
     drive.set(parameter, cob_id & 0x3FFF_FFFF | _INVALID)
     drive.set(Entry(mapping, 0, "B", "number of mapped objects"), 0)
     for place, one in enumerate(entries, 1):
@@ -222,6 +228,33 @@ def event_driven_tpdo(bench: DriveBench) -> None:
     drive.quiet(0.3)
     idle = len(drive.client.heard(identifier, begin_ns))
     drive.expect(idle == 0, "no change in 0.3 s", "no TPDO", f"{idle}", "sent without an event")
+    _expect_no_change_lost(drive)
+
+
+def _expect_no_change_lost(drive: Drive) -> None:
+    """Expect the last of two changes to be told, of which the second comes before the TPDO is out.
+
+    The TPDO has a higher identifier than the RPDO of the second change, which goes first.
+    """
+    drive.client.node.nmt.send_command(_PRE_OPERATIONAL)
+    drive.command(od.DISABLE_VOLTAGE)
+    commands = configure(drive, 0x1400, (od.CONTROLWORD,), 255)
+    later = max(commands + 0x80, _LATER + drive.node_id)
+    try:
+        identifier = configure(drive, 0x1800, (od.STATUSWORD,), 255, identifier=later)
+    except NotApplicable:
+        return  # its identifiers are fixed
+    operational(drive)
+    begin_ns = drive.now_ns
+    for word in (od.SHUTDOWN, od.SWITCH_ON):
+        drive.client.send_message(commands, struct.pack("<H", word))
+    drive.quiet()
+    heard = drive.client.heard(identifier, begin_ns)  # not later: a request may wake the drive
+    drive.await_state(State.SWITCHED_ON, "controlwords 0006h, 0007h", "transitions 2, 3")
+    seen = od.state_of(int.from_bytes(heard[-1].data[:2], "little")) if heard else None
+    what = f"6041h changes again while TPDO {identifier:03X}h waits for the bus"
+    cause = "a change is lost while the TPDO is not sent yet"
+    drive.expect(seen is State.SWITCHED_ON, what, "a TPDO with switched on", f"{seen}", cause)
 
 
 @drive_clause("PDO-07", Level.L4, source="CiA 301, 7.5.2.37, 1800h:5, event timer")

@@ -18,6 +18,7 @@ _NAME: Final = Entry(0x1008, 0, "I", "manufacturer device name")
 _SEGMENT: Final = 7
 _LAST: Final = 0x80
 _VALUE_MS: Final = 1234
+_ABANDONED_S: Final = 1.5
 _TOGGLE_ERROR: Final = 0x0503_0000
 _UNKNOWN_COMMAND: Final = 0x0504_0001
 _BLOCK_SIZE: Final = 0x0504_0002
@@ -294,3 +295,8 @@ def _try_blocks(drive: Drive, tried: Callable[..., None]) -> None:
         again = _ask(drive, 0x80, data=place)
         drive.expect(not again, "an abort within a block", "no answer", _text(again))
         drive.near(entry, 0, 0, "an abort within a block")
+        begin_blocks()
+        _ask(drive, 1, data=value)
+        drive.quiet(_ABANDONED_S)  # the drive may abort
+        _ask(drive, 0x80, data=place)
+        drive.near(entry, 0, 0, "a block that was abandoned")
