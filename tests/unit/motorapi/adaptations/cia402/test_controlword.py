@@ -237,7 +237,7 @@ def test_fault_with_persistent_cause_is_reported(rig: Rig):
 
 
 def test_a_quick_stop_at_any_moment_of_enable_does_not_end_it(open_rig: OpenRig):
-    """It leads back to a state that a poll of the status may not have seen the drive leave."""
+    """A quick stop leads back to a state that no poll may have seen the drive leave."""
     rig = open_rig(drive("left", 1, motor="status_period_ms = 0"))
     motor, runtime = rig.motors["left"], rig.runtime
     motor.enable()
