@@ -673,10 +673,19 @@ def _expect_failure(bench: RigProtocol, motor: Motor, method: int) -> None:
     expect(isinstance(error, PeerError), f"{what}; expected PeerError")
     told = getattr(error, "method", method)
     expect(told == method, f"{what}; expected method {method}, not {told}")
+    words = [motor.name, *([f"method {method}"] if hasattr(error, "method") else [])]
+    expect(all(one in f"{error}" for one in words), f"{what}: {error}; expected {words}")
     expect(not motor.is_referenced(), f"{what}, but the motor is referenced")
     motor.stop()
     finish(bench, motor)
     move_exactly(bench, motor, 0.1 * long_move(bench), what)
+    error = failure_of(partial(motor.home, timeout_s=_FAILS_S))  # by the method that the drive has
+    told = getattr(error, "method", None)
+    is_named = re.search(r"method \d", f"{error}") and not isinstance(error, UnsupportedError)
+    expect(
+        told == method or (told is None and not is_named),
+        f"homing by the drive's own method, after {method}: {error!r}; expected no other method",
+    )
 
 
 def _expect_search_is_stopped(bench: RigProtocol, motor: Motor, method: int) -> None:
