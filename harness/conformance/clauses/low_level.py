@@ -55,9 +55,11 @@ _INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
 _UNMAPPABLE: Final = 0x1000_0020  # the device type
 _NO_OBJECT: Final = 0x5FFE
 _NO_CODE: Final = "00000000h"  # no abort has it
+_WRITE_ONLY: Final = (0x60C4, 6)  # CiA 402-2, buffer clear; many drives lack it
 _MEANINGS: Final = {  # CiA 301, SDO abort codes
     0x0602_0000: "not exist",
     0x0609_0011: "sub",
+    0x0601_0001: "write only",
     0x0601_0002: "read only",
     0x0604_0041: "mapped",
 }
@@ -415,6 +417,7 @@ def _expect_aborts_in_words(hardware: Any) -> None:
         partial(hardware.upload, _DEVICE_TYPE, 1),
         partial(hardware.download, _DEVICE_TYPE, 0, bytes(4)),
         partial(_map_the_unmappable, hardware),
+        partial(hardware.upload, *_WRITE_ONLY),
     ):
         error = failure_of(operation)
         expect(isinstance(error, PeerError), f"{error!r}; expected an abort of the node")

@@ -296,7 +296,7 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
 
 
 def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> None:
-    """Expect one period of the host's heartbeat on a bus, for all drives that supervise it."""
+    """Expect one period of the host's heartbeat on a bus, and no drive with its node-ID."""
     names = stated.declaration.names(bench.motor.model.unit)
     needed = {Ability.SECOND_MOTOR, Ability.SOLE_USER}
     if not {_HEARTBEAT, _HOST}.issubset(names) or not needed.issubset(bench.abilities):
@@ -318,6 +318,14 @@ def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> 
         isinstance(error, UsageError) and is_told,
         f"the host's heartbeat is sent every {period_ms} ms; a second drive that wants it every"
         f" {other_ms} ms: {error}; expected UsageError with both",
+    )
+    built = bench.build({**stated.values, "node_id": address, _HOST: own})
+    error = failure_of(built.enable)
+    built.close()
+    expect(
+        isinstance(error, UsageError) and f"{own}" in f"{error}",
+        f"a second drive with {_HOST} = {own}, the address of the first one: {error!r}; expected"
+        " UsageError with it",
     )
 
 
@@ -829,6 +837,9 @@ def slow_drive_is_reported_in_time(bench: RigProtocol) -> None:
         took_s = elapsed_s(bench, begun_ns)
         told = f"a drive that is too slow: enable() ended with {error!r} after {took_s:.3f} s"
         expect(error is not None, told)
+        expect(
+            "None" not in f"{error}", f"{told}: {error}; expected no 'None' for what there is not"
+        )
         if isinstance(error, DeadlineExceeded):
             late_s = took_s - error.timeout_s
             is_then = 0.0 <= late_s <= bench.facts.time_tolerance_s
