@@ -39,7 +39,8 @@ def _own_eds() -> str:
 def _si_units() -> list[Change]:
     """Return the changes for drives in 0.01 degree and 0.01 degree/s, and a model without them.
 
-    Their rated torque is not that of their rated current, either.
+    Their accelerations are in 0.04 degree/s², and their rated torque is not that of their rated
+    current, either.
     """
     objects = ((0x60A8, "position", 0xFE41_0000), (0x60A9, "velocity", 0xFE41_0300))  # CiA 303-2
     path = Path(_FOLDER.name, "si_units.eds")
@@ -51,12 +52,13 @@ def _si_units() -> list[Change]:
             for index, what, value in objects
         )
     )
-    ramps = '"6081h" = 11459, "6083h" = 22918, "6084h" = 22918, "6085h" = 40000'
+    ramps = '"6081h" = 11459, "6083h" = 5730, "6084h" = 5730, "6085h" = 10000'
+    steps = f"units = {{ acceleration_unit_inc_s2 = {4.0 * 132_000 / 36_000!r} }}"
     return [
-        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps}, "6076h" = 300 }}'),
+        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps}, "6076h" = 300 }}\n{steps}'),
         ("gear_ratio = 66.0\nencoder_increments_rev = 2000\n", ""),
         (f"velocity_unit_rad_s = {_UNIT}\n", ""),
-        (f"unit_rad_s2 = {_UNIT}\n", f"unit_rad_s2 = {radians(0.01)!r}\n"),
+        (f"unit_rad_s2 = {_UNIT}\n", f"unit_rad_s2 = {radians(0.04)!r}\n"),
     ]
 
 
