@@ -72,6 +72,7 @@ from motorhil.motorapi.synchronization.bus_load import (
 )
 
 _STREAMS_S = 0.2
+_ON_A_BUSY_BUS_S = 0.002  # of undeclared messages
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
@@ -363,6 +364,27 @@ def streamed_group_is_timed_and_stopped(bench: RigProtocol) -> None:
     finish(bench, second, _STREAMED_S)
     expect_unmoved(bench, first, held, f"{first.name}, stopped while the other goes on")
     expect_moved(bench, second, begun[1], 2.0 * way, "after the other was stopped")
+    if {Ability.ONE_KIND, Ability.SETTINGS}.issubset(bench.abilities):  # a CAN bus
+        _expect_bound_beside_a_stream(bench, group)
+
+
+def _expect_bound_beside_a_stream(bench: RigProtocol, group: MotorGroup) -> None:
+    """Expect a streamed member to begin with one that is not, within the bound for both."""
+    way, before = 0.5 * half_move(bench), declared_traffic(bench.link)
+    group.set_trajectory(smooth_move(group[0], way), TrapezoidalTrajectory(0.1 * way))
+    declare_traffic(bench.link, before or CanTraffic(_FAST_BIT_S))
+    can = group.sync_capability()
+    declare_traffic(bench.link, before)
+    if can.start_skew_s is None or can.level < SyncLevel.TRIGGERED:
+        return
+    group.start()
+    group.wait_until_done(_STREAMED_S)
+    skew_s, most_s = group.sync_quality().start_skew_s, can.start_skew_s + _ON_A_BUSY_BUS_S
+    expect(
+        skew_s is None or skew_s <= most_s,
+        f"{group[0].name} is streamed to, and {group[1].name} is not: their starts are {skew_s} s"
+        f" apart; predicted is a skew of up to {can.start_skew_s:g} s",
+    )
 
 
 def _streams(group: MotorGroup, ways: tuple[float, float]) -> list[ComplexTrajectory]:

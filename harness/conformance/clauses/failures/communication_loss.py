@@ -60,6 +60,7 @@ _BOTH = (True, False)
 _LATER = [(skip, False, True) for skip in range(6)]  # of the host, in a start that needs few
 _FRAMES_OF_STOP = 3  # the stop, and frames that go before it
 _SLOW = 4.0  # times the shortest move: a stop can be repeated before its end
+_LATE = 0.7  # of the time within which a loss is noticed
 _HOLDS = 0.2  # of the largest torque
 _GONE = (MotorState.OFFLINE, MotorState.FAULT)
 _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
@@ -393,6 +394,26 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         bench.afresh()
         bench.motor.enable()
         _expect_start_is_told(bench, bench.motor, identifier)
+        bench.afresh()
+        _expect_end_in_time(bench, bench.motor, identifier)
+
+
+def _expect_end_in_time(bench: RigProtocol, motor: Motor, identifier: int) -> None:
+    """Expect the end of a motion to be told once the loss of frames before the wait is noticed."""
+    way, lost_s = 0.25 * long_move(bench), bench.facts.lost_s
+    expected_s = shortest_s(motor, way)
+    begin_move(bench, motor, way, 0.3 * expected_s)
+    begun_ns = bench.runtime.now_ns()
+    with bench.lose_identifier(identifier):
+        rest_for(bench, _LATE * lost_s)
+        error = failure_of(partial(finish, bench, motor, expected_s))
+    took_s = elapsed_s(bench, begun_ns)
+    within_s = max(0.7 * expected_s, lost_s) + bench.facts.time_tolerance_s
+    expect(
+        error is not None or took_s <= within_s,
+        f"all frames {identifier:03X}h lost: done was reported {took_s:.3f} s later; expected"
+        f" within {within_s:.3f} s",
+    )
 
 
 def _expect_start_is_told(bench: RigProtocol, motor: Motor, identifier: int) -> None:

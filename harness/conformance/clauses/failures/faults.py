@@ -857,3 +857,10 @@ def fault_has_text_of_its_maker(bench: RigProtocol) -> None:
             fault is None or words.lower() in fault.text.lower(),
             f"fault {code:X}h is reported as {fault}; its maker calls it {words}",
         )
+    bench.afresh()
+    rest_for(bench, bench.facts.time_tolerance_s)  # it has power
+    motor = bench.motor
+    bench.fail(motor, code)
+    motor.position()  # a drive is known by its answers, whatever its fault
+    fault = motor.fault()
+    expect(fault is None or fault.code == code, f"first of all, fault {code:X}h is told as {fault}")
