@@ -1,7 +1,7 @@
 """L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from itertools import product
 from math import hypot, inf, sqrt
@@ -45,6 +45,7 @@ from motorhil.harness.conformance.clauses.tracks import (
     when_made_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
@@ -73,6 +74,8 @@ from motorhil.motorapi.synchronization.bus_load import (
 
 _STREAMS_S = 0.2
 _ON_A_BUSY_BUS_S = 0.002  # of undeclared messages
+_PERIOD = "set_point_period_ms"
+_STRIKES = 30  # attempts of one frame, a few milliseconds in all; 32 end in bus-off
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
@@ -366,6 +369,29 @@ def streamed_group_is_timed_and_stopped(bench: RigProtocol) -> None:
     expect_moved(bench, second, begun[1], 2.0 * way, "after the other was stopped")
     if {Ability.ONE_KIND, Ability.SETTINGS}.issubset(bench.abilities):  # a CAN bus
         _expect_bound_beside_a_stream(bench, group)
+    if {Ability.BUS_ERRORS, Ability.SETTINGS, Ability.AFRESH}.issubset(bench.abilities):
+        _expect_times_of_late_set_points(bench)
+
+
+def _expect_times_of_late_set_points(bench: RigProtocol) -> None:
+    """Expect a stream with a late set-point to be timed as any other, at the shortest period."""
+    stated = bench.stated()
+    if stated is None or _PERIOD not in stated.declaration.names(bench.motor.model.unit):
+        return
+    with suppress(RigError), bench.altered({_PERIOD: 1}, {}):  # else another setting forbids it
+        motor, way = bench.motor, half_move(bench)
+        group = MotorGroup(motor)
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        group.set_trajectory(smooth_move(motor, way))
+        group.start()
+        rest_for(bench, midway_s(motor, way, 0.5))
+        with bench.strike(None, _STRIKES):
+            error = failure_of(partial(group.wait_until_done, _STREAMED_S))
+        told = dict(group.sync_quality().times)[motor.name]
+        expect(
+            error is not None or (told is not None and told.started_ns is not None),
+            f"a stream with a late set-point was done, and its times are told as {told}",
+        )
 
 
 def _expect_bound_beside_a_stream(bench: RigProtocol, group: MotorGroup) -> None:

@@ -64,6 +64,8 @@ _MEANINGS: Final = {  # CiA 301, SDO abort codes
     0x0604_0041: "mapped",
 }
 _NMT, _STOP = 0x000, 0x02  # CiA 301, NMT
+_SDO_REQUEST, _SDO_ANSWER = 0x600, 0x580  # CiA 301
+_UPLOAD: Final = bytes.fromhex("40 00 10 00")  # of the device type
 _POSITION: Final = 0x6064
 _STREAM_S: Final = 0.01
 _STREAMED: Final = 20  # positions, an increment apart
@@ -408,6 +410,33 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
         enable = _simple(hardware, "enable")
         expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
+    if {Ability.SECOND_MOTOR, Ability.SOLE_USER}.issubset(bench.abilities):
+        _expect_further_nodes(bench, hardware)
+
+
+def _expect_further_nodes(bench: RigProtocol, hardware: Any) -> None:
+    """Expect the bus of a node to hear, and to ask, a node that no motor of the program has."""
+    network = getattr(getattr(getattr(hardware, "node", None), "bus", None), "network", None)
+    bench.motor.disable()  # it may be on the node of the second one
+    second = bench.motors[1]
+    second.enable()
+    second.disable()
+    with second.low_level() as found:
+        node_id = getattr(found, "node_id", None)
+    if network is None or node_id in (None, getattr(hardware, "node_id", None)):
+        return
+    second.close()
+    answer = _SDO_ANSWER + node_id
+    heard: list[bytes] = []
+    network.subscribe(answer, lambda _can_id, data, _time_s: heard.append(bytes(data)))
+    network.send_message(_SDO_REQUEST + node_id, _UPLOAD + bytes(4))
+    rest_for(bench, _LOOK_S)
+    network.unsubscribe(answer)
+    told = ", ".join(data.hex(" ") for data in heard) or "nothing"
+    expect(
+        [data[1:4] for data in heard] == [_UPLOAD[1:]],
+        f"node {node_id}, asked for 1000h by the network of the bus: heard is {told}",
+    )
 
 
 def _expect_aborts_in_words(hardware: Any) -> None:
