@@ -74,7 +74,9 @@ from motorhil.motorapi.synchronization.bus_load import (
 
 _STREAMS_S = 0.2
 _ON_A_BUSY_BUS_S = 0.002  # of undeclared messages
-_PERIOD = "set_point_period_ms"
+_PERIOD, _HEARD = "set_point_period_ms", "status_period_ms"
+_OFTEN_MS = 2
+_ROUNDING_S = 1e-6
 _STRIKES = 30  # attempts of one frame, a few milliseconds in all; 32 end in bus-off
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -371,6 +373,30 @@ def streamed_group_is_timed_and_stopped(bench: RigProtocol) -> None:
         _expect_bound_beside_a_stream(bench, group)
     if {Ability.BUS_ERRORS, Ability.SETTINGS, Ability.AFRESH}.issubset(bench.abilities):
         _expect_times_of_late_set_points(bench)
+    if {Ability.SETTINGS, Ability.AFRESH}.issubset(bench.abilities):
+        _expect_whole_stream(bench)
+
+
+def _expect_whole_stream(bench: RigProtocol) -> None:
+    """Expect a stream to end no sooner than its trajectory, if the drive is heard often."""
+    stated = bench.stated()
+    if stated is None or _HEARD not in stated.declaration.names(bench.motor.model.unit):
+        return
+    with suppress(RigError), bench.altered({_HEARD: _OFTEN_MS}, {}):
+        motor, way = bench.motor, half_move(bench)
+        trajectory, group = smooth_move(motor, way), MotorGroup(motor)
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        group.set_trajectory(trajectory)
+        group.start()
+        group.wait_until_done(_STREAMED_S)
+        times, duration_s = group.sync_quality().times[0][1], trajectory.function.domain[1]
+        if times is None or times.started_ns is None or times.ended_ns is None:
+            return
+        lasted_s = (times.ended_ns - times.started_ns) / 1e9
+        expect(
+            lasted_s >= duration_s - max(map(abs, bench.facts.latency_s)) - _ROUNDING_S,
+            f"a stream of {duration_s:.6f} s is told to have lasted {lasted_s:.6f} s",
+        )
 
 
 def _expect_times_of_late_set_points(bench: RigProtocol) -> None:

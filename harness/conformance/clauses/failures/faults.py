@@ -73,6 +73,8 @@ _TIMEOUT: Final = "timeout_s"
 _PATIENT: Final = 0.9
 _READINGS: Final = 3
 _SPOT_S: Final = 0.5
+_HOMINGS: Final = 4
+_BETWEEN_S: Final = 0.04
 _SEARCH_S: Final = 0.4
 _LATE_S: Final = (0.11, 0.21, 0.31)
 _LATE_PLACES: Final = 4
@@ -622,6 +624,22 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
         own is None or again is None or abs(again - own) <= bench.facts.window,
         f"home() ended at {own} {motor.model.unit}, and after home({_HERE}) at {again}",
     )
+    _expect_even_times(bench, motor)
+
+
+def _expect_even_times(bench: RigProtocol, motor: Motor) -> None:
+    """Expect homing on the spot to take as long each time: its end is told when it comes."""
+    took_s = []
+    for number in range(_HOMINGS):
+        if number % 2:
+            move(bench, motor, 0.1 * long_move(bench))
+        begun_ns = bench.runtime.now_ns()
+        motor.home(_HERE)
+        took_s.append(elapsed_s(bench, begun_ns))
+        rest_for(bench, _BETWEEN_S)
+    told = ", ".join(f"{one:.3f} s" for one in took_s)
+    apart_s = 2.0 * bench.facts.time_tolerance_s
+    expect(max(took_s) - min(took_s) <= apart_s, f"homing on the spot took {told}")
 
 
 def _place_of_own_homing(bench: RigProtocol, motor: Motor) -> float | None:
