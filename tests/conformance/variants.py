@@ -109,6 +109,20 @@ _NO_TPDOS = [
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # its answers come afterwards
     ("borne_s = 0.09\n", ""),  # a wait that asks lasts longer
 ]
+_TEN_MS = "AccessType=const DefaultValue=10"
+_OWN_PERIOD = "its set-point period is fixed"
+_STATUS_ALONE = [  # the position fits into no PDO, and set-points come every 10 ms
+    *of_drive(
+        f'eds = "{_changed(_without(), _6064="PDOMapping=0", _60C2sub1=_TEN_MS)}"',
+    ),
+    ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),
+    ("borne_s = 0.09\n", ""),
+    (
+        _SEEKING,
+        f'{_SEEKING}\n[conformance.without]\ncomplex_position = "{_OWN_PERIOD}"\n'
+        f'complex_velocity = "{_OWN_PERIOD}"\n',
+    ),
+]
 _CIA402 = (RIGS / "cia402.toml").read_text()
 _PROGRAMS = (READ, APART)  # no change of the rig: benches that run further programs
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402) if name not in _PROGRAMS}
@@ -126,6 +140,7 @@ OF_ONE_PROGRAM = {
         *of_drive(f'eds = "{_changed(_without("608F", "6091", "6092"), **_FIXED)}"'),
         ("latency_s = [0.0, 0.001]", "latency_s = [-0.02, 0.001]"),  # the status is heard later
     ],
+    "no position in PDOs": _STATUS_ALONE,
 }
 """Drives that refuse the PDOs of each program, which stops the node (NMT) to write them."""
 BENCHES = {

@@ -65,6 +65,7 @@ _MEANINGS: Final = {  # CiA 301, SDO abort codes
 }
 _NMT, _STOP = 0x000, 0x02  # CiA 301, NMT
 _SDO_REQUEST, _SDO_ANSWER = 0x600, 0x580  # CiA 301
+_FIRST_TPDO: Final = ((0x1800, 1), (0x1A00, 0), (0x1A00, 1))
 _UPLOAD: Final = bytes.fromhex("40 00 10 00")  # of the device type
 _POSITION: Final = 0x6064
 _STREAM_S: Final = 0.01
@@ -419,7 +420,7 @@ def _expect_further_nodes(bench: RigProtocol, hardware: Any) -> None:
     network = getattr(getattr(getattr(hardware, "node", None), "bus", None), "network", None)
     bench.motor.disable()  # it may be on the node of the second one
     second = bench.motors[1]
-    second.enable()
+    _expect_pdo_as_it_was(second)
     second.disable()
     with second.low_level() as found:
         node_id = getattr(found, "node_id", None)
@@ -437,6 +438,22 @@ def _expect_further_nodes(bench: RigProtocol, hardware: Any) -> None:
         [data[1:4] for data in heard] == [_UPLOAD[1:]],
         f"node {node_id}, asked for 1000h by the network of the bus: heard is {told}",
     )
+
+
+def _expect_pdo_as_it_was(motor: Any) -> None:
+    """Enable a motor; expect a TPDO whose mapping its drive has kept to be as valid as before."""
+    sdo = getattr(getattr(getattr(motor, "hardware", None), "node", None), "sdo", None)
+    read = getattr(sdo, "upload", None)
+    found: list[list[bytes]] = []
+    for _ in range(2):
+        with suppress(PeerError):  # it has no such TPDO
+            found.append([read(*place) for place in _FIRST_TPDO] if read is not None else [])
+        motor.enable()
+    if len(found) < 2 or not found[0] or found[0][1:] != found[1][1:]:
+        return
+    before, after = ([data.hex(" ") for data in one] for one in found)
+    if not found[0][0][-1] & 0x80:  # it exists
+        expect(before == after, f"identifier and mapping of TPDO 1 are {after}; before: {before}")
 
 
 def _expect_aborts_in_words(hardware: Any) -> None:
