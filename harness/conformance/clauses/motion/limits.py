@@ -252,10 +252,11 @@ def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
             finish(bench, motor, 1.0)
             motor.stop()
             finish(bench, motor)
-    error = failure_of(partial(follow, motor, smooth_move(motor, 0.1 * long_move(bench))))
-    if isinstance(error, UnsupportedError):
-        expect("None" not in f"{error}", f"the refusal of a function lists what is not: {error}")
-    elif error is None:
+    refusal = failure_of(partial(follow, motor, smooth_move(motor, 0.1 * long_move(bench))))
+    if isinstance(refusal, UnsupportedError):
+        told = f"the refusal of a function lists what is not: {refusal}"
+        expect("None" not in f"{refusal}", told)
+    elif refusal is None:
         finish(bench, motor, 1.0)
 
 
