@@ -63,7 +63,7 @@ DAMIAO: Final = Firmware(
     codes=range(8, 15),
 )
 ROBSTRIDE: Final = Firmware(
-    faults={flags.OVER_TEMPERATURE: 4, flags.UNDER_VOLTAGE: 1}, codes=(1, 2, 4, 8, 16, 32)
+    faults={flags.OVER_TEMPERATURE: 4, flags.UNDER_VOLTAGE: 1}, codes=range(1, 64)
 )
 
 MODELS: Final[dict[str, tuple[Firmware, Ranges]]] = {

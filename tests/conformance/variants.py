@@ -39,7 +39,8 @@ def _own_eds() -> str:
 def _si_units() -> list[Change]:
     """Return the changes for drives in 0.01 degree and 0.01 degree/s, and a model without them.
 
-    Their rated torque is not that of their rated current, either.
+    Their accelerations are in 0.04 degree/s², and their rated torque is not that of their rated
+    current, either.
     """
     objects = ((0x60A8, "position", 0xFE41_0000), (0x60A9, "velocity", 0xFE41_0300))  # CiA 303-2
     path = Path(_FOLDER.name, "si_units.eds")
@@ -51,12 +52,13 @@ def _si_units() -> list[Change]:
             for index, what, value in objects
         )
     )
-    ramps = '"6081h" = 11459, "6083h" = 22918, "6084h" = 22918, "6085h" = 40000'
+    ramps = '"6081h" = 11459, "6083h" = 5730, "6084h" = 5730, "6085h" = 10000'
+    steps = f"units = {{ acceleration_unit_inc_s2 = {4.0 * 132_000 / 36_000!r} }}"
     return [
-        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps}, "6076h" = 300 }}'),
+        *of_drive(f'eds = "{path}"\nobjects = {{ {ramps}, "6076h" = 300 }}\n{steps}'),
         ("gear_ratio = 66.0\nencoder_increments_rev = 2000\n", ""),
         (f"velocity_unit_rad_s = {_UNIT}\n", ""),
-        (f"unit_rad_s2 = {_UNIT}\n", f"unit_rad_s2 = {radians(0.01)!r}\n"),
+        (f"unit_rad_s2 = {_UNIT}\n", f"unit_rad_s2 = {radians(0.04)!r}\n"),
     ]
 
 
@@ -107,6 +109,20 @@ _NO_TPDOS = [
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # its answers come afterwards
     ("borne_s = 0.09\n", ""),  # a wait that asks lasts longer
 ]
+_TEN_MS = "AccessType=const DefaultValue=10"
+_OWN_PERIOD = "its set-point period is fixed"
+_STATUS_ALONE = [  # the position fits into no PDO, and set-points come every 10 ms
+    *of_drive(
+        f'eds = "{_changed(_without(), _6064="PDOMapping=0", _60C2sub1=_TEN_MS)}"',
+    ),
+    ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),
+    ("borne_s = 0.09\n", ""),
+    (
+        _SEEKING,
+        f'{_SEEKING}\n[conformance.without]\ncomplex_position = "{_OWN_PERIOD}"\n'
+        f'complex_velocity = "{_OWN_PERIOD}"\n',
+    ),
+]
 _CIA402 = (RIGS / "cia402.toml").read_text()
 _PROGRAMS = (READ, APART)  # no change of the rig: benches that run further programs
 VARIANTS = {name: VARIATIONS[name] for name in applicable(_CIA402) if name not in _PROGRAMS}
@@ -124,6 +140,7 @@ OF_ONE_PROGRAM = {
         *of_drive(f'eds = "{_changed(_without("608F", "6091", "6092"), **_FIXED)}"'),
         ("latency_s = [0.0, 0.001]", "latency_s = [-0.02, 0.001]"),  # the status is heard later
     ],
+    "no position in PDOs": _STATUS_ALONE,
 }
 """Drives that refuse the PDOs of each program, which stops the node (NMT) to write them."""
 BENCHES = {

@@ -85,7 +85,10 @@ _OF_THE_DRIVE: list[Change] = [
     ("acceleration_" + _UNIT.format("2"), ""),
 ]
 _UNITS_OF_SPEED: list[Change] = [
-    *of_drive("units = { velocity_unit_inc_s = 2.0, acceleration_unit_inc_s2 = 4.0 }"),
+    *of_drive(
+        "units = { velocity_unit_inc_s = 2.0, acceleration_unit_inc_s2 = 4.0 }\n"
+        'objects = { "6096h:1" = 2, "6097h:1" = 4 }'  # which say so, in one of two readings
+    ),
     ("velocity_" + _UNIT.format(""), "velocity_unit_rad_s = 9.519977738150889e-05\n"),
     ("acceleration_" + _UNIT.format("2"), "acceleration_unit_rad_s2 = 1.9039955476301778e-04\n"),
 ]

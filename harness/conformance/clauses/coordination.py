@@ -57,6 +57,9 @@ _BRAKES_S: Final = 0.03
 _PHASE: Final = Synchronization.PHASE
 _STRIKES: Final = 30  # attempts of one frame, a few milliseconds in all; 32 end in bus-off
 _LATE_S: Final = 0.004
+_CREEPS: Final = 0.001  # of the model's velocity: hardly a motion, but one
+_CREEPS_S: Final = 10.0
+_UNHEARD: Final = (3, 4, 5)  # frames: the first ones of a stop of two motors
 
 
 @clause(
@@ -405,6 +408,31 @@ def common_stop_stays_on_path(bench: RigProtocol) -> None:
     expect_group_moved(bench, group, before, further, "after it was stopped")
     if {Ability.BUS_ERRORS, Ability.AFRESH}.issubset(bench.abilities):
         _expect_one_stop_signal(bench)
+    if {Ability.SILENCE_HOST, Ability.AFRESH}.issubset(bench.abilities):
+        for unheard in _UNHEARD if bench.facts.repeats_stops else ():
+            _expect_true_stop_of_creepers(bench, unheard)
+
+
+def _expect_true_stop_of_creepers(bench: RigProtocol, unheard: int) -> None:
+    """Expect motors that creep to rest once a common stop without its first frames is over."""
+    bench.afresh()
+    way = _CREEPS * _CREEPS_S * min(one.model.velocity_max for one in bench.motors[:2])
+    group = pair_of(bench, way, way)
+    group.synchronization = _PHASE
+    group.fault_reaction = FaultReaction.TOGETHER
+    group.set_trajectory(*(TrapezoidalTrajectory(way, duration_s=_CREEPS_S) for _ in group))
+    if failure_of(group.start) is not None:  # they have no such motion
+        return
+    rest_for(bench, 0.1 * _CREEPS_S)
+    with bench.silence_host(limit=unheard):
+        error = failure_of(group.stop, partial(group.wait_until_done, 0.1 * _CREEPS_S))
+    if error is not None:
+        return
+    before = positions_of(bench, group)
+    rest_for(bench, 0.3 * _CREEPS_S)
+    for motor, was in zip(group, before, strict=True):
+        what = f"{motor.name}, whose stop without its first {unheard} frames was over"
+        expect_unmoved(bench, motor, was, what)
 
 
 def _expect_one_stop_signal(bench: RigProtocol) -> None:

@@ -1,7 +1,7 @@
 """L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from itertools import product
 from math import hypot, inf, sqrt
@@ -45,6 +45,7 @@ from motorhil.harness.conformance.clauses.tracks import (
     when_made_s,
 )
 from motorhil.harness.rig.config.conformance import Capability
+from motorhil.harness.rig.config.toml import RigError
 from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
@@ -72,6 +73,11 @@ from motorhil.motorapi.synchronization.bus_load import (
 )
 
 _STREAMS_S = 0.2
+_ON_A_BUSY_BUS_S = 0.002  # of undeclared messages
+_PERIOD, _HEARD = "set_point_period_ms", "status_period_ms"
+_OFTEN_MS = 2
+_ROUNDING_S = 1e-6
+_STRIKES = 30  # attempts of one frame, a few milliseconds in all; 32 end in bus-off
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
@@ -363,6 +369,74 @@ def streamed_group_is_timed_and_stopped(bench: RigProtocol) -> None:
     finish(bench, second, _STREAMED_S)
     expect_unmoved(bench, first, held, f"{first.name}, stopped while the other goes on")
     expect_moved(bench, second, begun[1], 2.0 * way, "after the other was stopped")
+    if {Ability.ONE_KIND, Ability.SETTINGS}.issubset(bench.abilities):  # a CAN bus
+        _expect_bound_beside_a_stream(bench, group)
+    if {Ability.BUS_ERRORS, Ability.SETTINGS, Ability.AFRESH}.issubset(bench.abilities):
+        _expect_times_of_late_set_points(bench)
+    if {Ability.SETTINGS, Ability.AFRESH}.issubset(bench.abilities):
+        _expect_whole_stream(bench)
+
+
+def _expect_whole_stream(bench: RigProtocol) -> None:
+    """Expect a stream to end no sooner than its trajectory, if the drive is heard often."""
+    stated = bench.stated()
+    if stated is None or _HEARD not in stated.declaration.names(bench.motor.model.unit):
+        return
+    with suppress(RigError), bench.altered({_HEARD: _OFTEN_MS}, {}):
+        motor, way = bench.motor, half_move(bench)
+        trajectory, group = smooth_move(motor, way), MotorGroup(motor)
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        group.set_trajectory(trajectory)
+        group.start()
+        group.wait_until_done(_STREAMED_S)
+        times, duration_s = group.sync_quality().times[0][1], trajectory.function.domain[1]
+        if times is None or times.started_ns is None or times.ended_ns is None:
+            return
+        lasted_s = (times.ended_ns - times.started_ns) / 1e9
+        expect(
+            lasted_s >= duration_s - max(map(abs, bench.facts.latency_s)) - _ROUNDING_S,
+            f"a stream of {duration_s:.6f} s is told to have lasted {lasted_s:.6f} s",
+        )
+
+
+def _expect_times_of_late_set_points(bench: RigProtocol) -> None:
+    """Expect a stream with a late set-point to be timed as any other, at the shortest period."""
+    stated = bench.stated()
+    if stated is None or _PERIOD not in stated.declaration.names(bench.motor.model.unit):
+        return
+    with suppress(RigError), bench.altered({_PERIOD: 1}, {}):  # else another setting forbids it
+        motor, way = bench.motor, half_move(bench)
+        group = MotorGroup(motor)
+        motor.set_control_mode(ControlMode.TRAJECTORY)
+        group.set_trajectory(smooth_move(motor, way))
+        group.start()
+        rest_for(bench, midway_s(motor, way, 0.5))
+        with bench.strike(None, _STRIKES):
+            error = failure_of(partial(group.wait_until_done, _STREAMED_S))
+        told = dict(group.sync_quality().times)[motor.name]
+        expect(
+            error is not None or (told is not None and told.started_ns is not None),
+            f"a stream with a late set-point was done, and its times are told as {told}",
+        )
+
+
+def _expect_bound_beside_a_stream(bench: RigProtocol, group: MotorGroup) -> None:
+    """Expect a streamed member to begin with one that is not, within the bound for both."""
+    way, before = 0.5 * half_move(bench), declared_traffic(bench.link)
+    group.set_trajectory(smooth_move(group[0], way), TrapezoidalTrajectory(0.1 * way))
+    declare_traffic(bench.link, before or CanTraffic(_FAST_BIT_S))
+    can = group.sync_capability()
+    declare_traffic(bench.link, before)
+    if can.start_skew_s is None or can.level < SyncLevel.TRIGGERED:
+        return
+    group.start()
+    group.wait_until_done(_STREAMED_S)
+    skew_s, most_s = group.sync_quality().start_skew_s, can.start_skew_s + _ON_A_BUSY_BUS_S
+    expect(
+        skew_s is None or skew_s <= most_s,
+        f"{group[0].name} is streamed to, and {group[1].name} is not: their starts are {skew_s} s"
+        f" apart; predicted is a skew of up to {can.start_skew_s:g} s",
+    )
 
 
 def _streams(group: MotorGroup, ways: tuple[float, float]) -> list[ComplexTrajectory]:

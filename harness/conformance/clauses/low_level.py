@@ -55,13 +55,18 @@ _INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
 _UNMAPPABLE: Final = 0x1000_0020  # the device type
 _NO_OBJECT: Final = 0x5FFE
 _NO_CODE: Final = "00000000h"  # no abort has it
+_WRITE_ONLY: Final = (0x60C4, 6)  # CiA 402-2, buffer clear; many drives lack it
 _MEANINGS: Final = {  # CiA 301, SDO abort codes
     0x0602_0000: "not exist",
     0x0609_0011: "sub",
+    0x0601_0001: "write only",
     0x0601_0002: "read only",
     0x0604_0041: "mapped",
 }
 _NMT, _STOP = 0x000, 0x02  # CiA 301, NMT
+_SDO_REQUEST, _SDO_ANSWER = 0x600, 0x580  # CiA 301
+_FIRST_TPDO: Final = ((0x1800, 1), (0x1A00, 0), (0x1A00, 1))
+_UPLOAD: Final = bytes.fromhex("40 00 10 00")  # of the device type
 _POSITION: Final = 0x6064
 _STREAM_S: Final = 0.01
 _STREAMED: Final = 20  # positions, an increment apart
@@ -406,6 +411,51 @@ def hardware_object_reads_and_writes_objects(bench: RigProtocol) -> None:
         enable = _simple(hardware, "enable")
         expect_raises(MotorBusyError, enable, "enable() was accepted while the motor moves")
     finish(bench, motor, shortest_s(motor, way))
+    if {Ability.SECOND_MOTOR, Ability.SOLE_USER}.issubset(bench.abilities):
+        _expect_further_nodes(bench, hardware)
+
+
+def _expect_further_nodes(bench: RigProtocol, hardware: Any) -> None:
+    """Expect the bus of a node to hear, and to ask, a node that no motor of the program has."""
+    network = getattr(getattr(getattr(hardware, "node", None), "bus", None), "network", None)
+    bench.motor.disable()  # it may be on the node of the second one
+    second = bench.motors[1]
+    _expect_pdo_as_it_was(second)
+    second.disable()
+    with second.low_level() as found:
+        node_id = getattr(found, "node_id", None)
+    if network is None or node_id in (None, getattr(hardware, "node_id", None)):
+        return
+    second.close()
+    answer = _SDO_ANSWER + node_id
+    heard: list[bytes] = []
+    network.subscribe(answer, lambda _can_id, data, _time_s: heard.append(bytes(data)))
+    network.send_message(_SDO_REQUEST + node_id, _UPLOAD + bytes(4))
+    rest_for(bench, _LOOK_S)
+    network.unsubscribe(answer)
+    told = ", ".join(data.hex(" ") for data in heard) or "nothing"
+    expect(
+        [data[1:4] for data in heard] == [_UPLOAD[1:]],
+        f"node {node_id}, asked for 1000h by the network of the bus: heard is {told}",
+    )
+
+
+def _expect_pdo_as_it_was(motor: Any) -> None:
+    """Enable a motor; expect a TPDO whose mapping its drive keeps to be valid, or told as off."""
+    sdo = getattr(getattr(getattr(motor, "hardware", None), "node", None), "sdo", None)
+    read = getattr(sdo, "upload", None)
+    found: list[list[bytes]] = []
+    for _ in range(2):
+        with suppress(PeerError):  # it has no such TPDO
+            found.append([read(*place) for place in _FIRST_TPDO] if read is not None else [])
+        motor.enable()
+    if len(found) < 2 or not found[0] or found[0][1:] != found[1][1:]:
+        return
+    before, after = ([data.hex(" ") for data in one] for one in found)
+    told = getattr(getattr(motor.hardware, "facts", None), "limitations", ())
+    is_told = any("TPDO 1 is left switched off" in one for one in told)
+    if not found[0][0][-1] & 0x80 and not is_told:  # it exists
+        expect(before == after, f"identifier and mapping of TPDO 1 are {after}; before: {before}")
 
 
 def _expect_aborts_in_words(hardware: Any) -> None:
@@ -415,6 +465,7 @@ def _expect_aborts_in_words(hardware: Any) -> None:
         partial(hardware.upload, _DEVICE_TYPE, 1),
         partial(hardware.download, _DEVICE_TYPE, 0, bytes(4)),
         partial(_map_the_unmappable, hardware),
+        partial(hardware.upload, *_WRITE_ONLY),
     ):
         error = failure_of(operation)
         expect(isinstance(error, PeerError), f"{error!r}; expected an abort of the node")

@@ -3,6 +3,7 @@
 Both differ between adaptations, so that a clause is applicable if it finds what it knows.
 """
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -37,6 +38,7 @@ from motorhil.motorapi import (
 
 _WINDOWS: Final = (0x6067, 0x6068, 0x6065, 0x6066, 0x606D, 0x606E)  # CiA 402-2
 """Window and time of position, following error and velocity."""
+_WINDOW_TIME: Final = 0x6068
 _POSITION, _STATUSWORD, _SHOWN = 0x6064, 0x6041, 0x6061
 _DEVICE_TYPE, _IDENTITY, _NAME, _HEARTBEAT = 0x1000, 0x1018, 0x1008, 0x1017  # CiA 301
 _STATE_BITS: Final = 0x6F
@@ -45,6 +47,8 @@ _PP, _PV = 1, 3
 _OFF: Final = 0xFFFF_FFFF
 _LOOK_S: Final = 0.2
 _VALUES: Final = (0.5, 5.0)
+_TOO_LARGE: Final = 1e12
+_TOLD_RANGE: Final = re.compile(r"must be (-?[\d.e+-]+) to (-?[\d.e+-]*\d)")
 _PERIOD_MS: Final = 95
 _PDO_LENGTH: Final = 0x8210  # CiA 301, EMCY: PDO not processed due to length error
 _FIRST_RPDO: Final = 0x200  # CiA 301, predefined connection set
@@ -167,6 +171,25 @@ def parameters_belong_to_a_logical_motor(bench: RigProtocol) -> None:
     found = _read_in_motion(bench, bench.another_user_of(motor), hardware, -way)
     expect(found == before, f"a start of another logical motor: {found}; expected {before}")
     _expect_refusals(motor, kind, set_parameters)
+    _expect_changed_value_stays(bench, motor, hardware, way)
+
+
+def _expect_changed_value_stays(
+    bench: RigProtocol, motor: Motor, hardware: Any, way: float
+) -> None:
+    """Expect a value that low-level access has written to be the drive's own from then on."""
+    for change in (2, -2):
+        motor.disable()
+        with motor.low_level():
+            value = hardware.read(_WINDOW_TIME) + change
+            if failure_of(partial(hardware.write, _WINDOW_TIME, value)) is not None:
+                return  # the drive keeps its own
+        found = _read_in_motion(bench, motor, hardware, way)[_WINDOWS.index(_WINDOW_TIME)]
+        expect(
+            found == value,
+            f"{_WINDOW_TIME:04X}h is {found} after a start of a motor that does not set it;"
+            f" low-level access wrote {value}",
+        )
 
 
 def _expect_whole_ramp(bench: RigProtocol, motor: Motor) -> None:
@@ -218,9 +241,24 @@ def motor_moves_with_each_parameter(bench: RigProtocol) -> None:
                 move_exactly(bench, motor, way, f"with {name} = {value:g}")
             what = f"a parameter {name} = nan was accepted"
             expect_raises((UsageError, TypeError), partial(kind, **{name: nan}), what)
+        _expect_told_range(kind, name)
     set_parameters(own)
     expect(found, f"no parameter accepts one of {', '.join(map(str, _VALUES))}")
     move_exactly(bench, motor, -way, "with its former parameters")
+
+
+def _expect_told_range(kind: Callable[..., Any], name: str) -> None:
+    """Expect the ends of the range that the refusal of a parameter tells to be accepted."""
+    error: Exception | None = None
+    try:
+        kind(**{name: _TOO_LARGE})
+    except (UsageError, TypeError) as refused:
+        error = refused
+    found = _TOLD_RANGE.search(f"{error}")
+    for end in () if found is None else found.groups():
+        value = int(end) if end.lstrip("-").isdigit() else float(end)
+        refusal = failure_of(partial(kind, **{name: value}))
+        expect(refusal is None, f"{name} = {end} was refused: {refusal}; but {error}")
 
 
 def _expect_refusals(motor: Motor, kind: Any, set_parameters: Callable[[Any], None]) -> None:

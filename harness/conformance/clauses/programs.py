@@ -187,6 +187,8 @@ def stop_of_other_program_acts(bench: RigProtocol) -> None:
     """A stop needs no ownership: it ends a motion of another program, even one just begun."""
     motor, other = _both(bench)
     other.position()
+    _expect_stop_leaves_power(bench, motor, other)
+    _leave(bench, motor)
     way = 2.0 * long_move(bench)
     for when, share in (("just begun", 0.0), ("on its way", 0.3)):
         before = position_of(bench, motor)
@@ -201,6 +203,19 @@ def stop_of_other_program_acts(bench: RigProtocol) -> None:
         expect(abs(went) < 0.9 * abs(way), f"{what}: it went {went:g} of {way:g} {unit}")
         _leave(bench, motor)
         way = -way
+
+
+def _expect_stop_leaves_power(bench: RigProtocol, motor: Motor, other: Motor) -> None:
+    """Expect a stop by a program that has just lost its motor to leave the motor as it is."""
+    move(bench, motor, 0.1 * long_move(bench))
+    with other.reserve("rescue", take_over=True, timeout_s=_PATIENCE_S):
+        state, before = other.state(), position_of(bench, motor)
+        motor.stop()
+        rest_for(bench, _WATCHED_S)
+    rest_for(bench, _WATCHED_S)
+    now, what = other.state(), "stopped by the program that had it before, and let go"
+    expect(now is state, f"taken over, {what}: {now.value}; {state.value} before the stop")
+    expect_unmoved(bench, motor, before, f"taken over, {what}")
 
 
 @clause(

@@ -95,6 +95,7 @@ _EXACT: Final = 0.012
 _HERE: Final = 35  # CiA 402-2, 6098h
 _SETTLED_S: Final = 0.5
 _UP: Final = 1.25
+_LEAST: Final = 0.7  # of the shortest time: done is told within the window
 _FURTHER: Final = 0x20
 _ASIDE: Final = 16
 _HEARTBEAT, _HOST = "heartbeat_ms", "host_node_id"
@@ -292,24 +293,36 @@ def hardware_object_is_made_once_and_right(bench: RigProtocol) -> None:
         _expect_defaults(type(hardware), stated)
         _expect_shared(bench, motor, hardware, stated)
         _expect_addresses(bench, motor, hardware, stated)
-        _expect_one_heartbeat(bench, hardware, stated)
+    address = None if stated is None else _expect_one_heartbeat(bench, hardware, stated)
     motor.enable()
     expect_state(motor, MotorState.ENABLED, "after further hardware objects were refused")
+    if stated is not None and address is not None:
+        built = bench.build({**stated.values, "node_id": address, _HOST: hardware.node_id})
+        motor.close()
+        error = failure_of(built.enable)
+        built.close()
+        expect(
+            not isinstance(error, UsageError),
+            f"{_HOST} = {hardware.node_id}, once the motor with this node-ID is closed: {error}",
+        )
 
 
-def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> None:
-    """Expect one period of the host's heartbeat on a bus, for all drives that supervise it."""
+def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> int | None:
+    """Expect one period of the host's heartbeat on a bus, and no drive with its node-ID.
+
+    Return the address of the second drive, which has no motor any more; None: not checked.
+    """
     names = stated.declaration.names(bench.motor.model.unit)
     needed = {Ability.SECOND_MOTOR, Ability.SOLE_USER}
     if not {_HEARTBEAT, _HOST}.issubset(names) or not needed.issubset(bench.abilities):
-        return
+        return None
     second = bench.motors[1]
     with second.low_level() as found:
         other: Any = found
     period_ms = stated.values.get(_HEARTBEAT, stated.declaration.defaults.get(names[_HEARTBEAT]))
     address, own = (getattr(one, "node_id", None) for one in (other, hardware))
     if not isinstance(period_ms, int) or not period_ms or address in (None, own):
-        return
+        return None
     second.close()
     other_ms = 2 * period_ms
     built = bench.build({**stated.values, "node_id": address, _HEARTBEAT: other_ms})
@@ -321,6 +334,15 @@ def _expect_one_heartbeat(bench: RigProtocol, hardware: Any, stated: Stated) -> 
         f"the host's heartbeat is sent every {period_ms} ms; a second drive that wants it every"
         f" {other_ms} ms: {error}; expected UsageError with both",
     )
+    built = bench.build({**stated.values, "node_id": address, _HOST: own})
+    error = failure_of(built.enable)
+    built.close()
+    expect(
+        isinstance(error, UsageError) and f"{own}" in f"{error}",
+        f"a second drive with {_HOST} = {own}, the address of the first one: {error!r}; expected"
+        " UsageError with it",
+    )
+    return int(address)
 
 
 def _expect_defaults(kind: Callable[..., Any], stated: Stated) -> None:
@@ -649,8 +671,11 @@ def _expect_refused_or_right(
     try:
         motor.enable()
         before, way = position_of(bench, motor), 0.1 * long_move(bench)
+        begun_ns = bench.runtime.now_ns()
         move_exactly(bench, motor, way, what)
+        took_s, least_s = elapsed_s(bench, begun_ns), _LEAST * shortest_s(motor, way)
         expect_moved(bench, motor, before, way, what)
+        expect(took_s >= least_s, f"{what}: a move took {took_s:.3f} s; its limits need more")
     except UsageError as error:
         is_named = model.name in f"{error}" or motor.name in f"{error}"
         expect(is_named, f"{what}: {error}; expected the name {motor.name}")
@@ -837,6 +862,9 @@ def slow_drive_is_reported_in_time(bench: RigProtocol) -> None:
         took_s = elapsed_s(bench, begun_ns)
         told = f"a drive that is too slow: enable() ended with {error!r} after {took_s:.3f} s"
         expect(error is not None, told)
+        expect(
+            "None" not in f"{error}", f"{told}: {error}; expected no 'None' for what there is not"
+        )
         if isinstance(error, DeadlineExceeded):
             late_s = took_s - error.timeout_s
             is_then = 0.0 <= late_s <= bench.facts.time_tolerance_s

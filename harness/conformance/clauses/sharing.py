@@ -2,7 +2,8 @@
 
 import gc
 import warnings
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from types import SimpleNamespace
@@ -58,6 +59,8 @@ _MOVES = {Capability.POSITION_TRAJECTORY}
 _PATIENCE_S = 10.0
 _BEFORE_CLOSE_S: Final = 0.01
 _ENDED_S: Final = 1.0
+_STOPS: Final = 8
+_AFTER_STOPS_S: Final = 1.5
 _LEASE_S = 0.2
 _LOW_LEVEL: Final = "low-level access"
 _COURSES: Final = 8
@@ -547,14 +550,39 @@ def _expect_cut_short(motor: Motor, what: str) -> None:
     source="Device.close: releases the device; motorapi.bus_context: what is kept for one bus",
 )
 def last_closed_motor_leaves_its_bus(bench: RigProtocol) -> None:
-    """Once all motors on a bus or line are closed, nothing of them uses it any more."""
+    """Stops leave nothing behind; once all motors on a bus are closed, nothing of them uses it."""
     for motor in bench.motors:
         motor.position()
+    _expect_nothing_left_by_stops(bench)
     kept = [one for one in gc.get_objects() if _is_used_in(one, bench.runtime)]
     for motor in bench.motors:
         motor.close()
     names = sorted({type(one).__name__ for one in kept if one.users})
     expect(not names, f"all motors are closed, but still in use: {', '.join(names)}")
+
+
+def _expect_nothing_left_by_stops(bench: RigProtocol) -> None:
+    """Expect stops to leave no object of the interface, such as a timer that never ends."""
+    motor = bench.motor
+    motor.enable()
+    counts: list[Counter[str]] = []
+    for stops in (2, _STOPS):
+        for _ in range(stops):
+            motor.stop()
+            finish(bench, motor)
+        rest_for(bench, _AFTER_STOPS_S)
+        gc.collect()
+        counts.append(Counter(_classes()))
+    left = [one for one, number in (counts[1] - counts[0]).items() if number >= _STOPS]
+    expect(not left, f"{_STOPS} stops leave as many {', '.join(left)}, {_AFTER_STOPS_S:g} s later")
+
+
+def _classes() -> Iterator[str]:
+    """Yield the class of each object of the interface that is alive."""
+    for one in gc.get_objects():
+        module: Any = type(one).__module__
+        if isinstance(module, str) and module.startswith(_INTERFACE):
+            yield type(one).__name__
 
 
 def _is_used_in(one: Any, runtime: object) -> bool:

@@ -92,15 +92,16 @@ A late halt is worse than separate halts.
 class HomingFailed(PeerError):  # noqa: N818 -- the name says what happened, as in errors
     """The drive reports a homing error (CiA 402-2, homing mode, statusword bit 13).
 
-    Attributes: motor (name), method, statusword.
+    Attributes: motor (name), method (None: the drive's own), statusword.
     """
 
-    def __init__(self, *, motor: str, method: int, statusword: int) -> None:
+    def __init__(self, *, motor: str, method: int | None, statusword: int) -> None:
         self.motor = motor
         self.method = method
         self.statusword = statusword
+        by = "its own method" if method is None else f"method {method}"
         super().__init__(
-            f"{motor}: homing by method {method} ended with an error (statusword {statusword:04X}h)"
+            f"{motor}: homing by {by} ended with an error (statusword {statusword:04X}h)"
         )
 
 
@@ -409,8 +410,7 @@ class Cia402Motor(Motor):
             return watch.ended_ns is not None
         node.check_motion(self.name)
         if watch.failed and isinstance(watch, HomingWatch):
-            method = 0 if watch.method is None else watch.method
-            raise HomingFailed(motor=self.name, method=method, statusword=node.statusword)
+            raise HomingFailed(motor=self.name, method=watch.method, statusword=node.statusword)
         if watch.failed and isinstance(watch, SetpointWatch):
             by = "the drive, which stands short of its target and shows target reached; was it"
             by += " halted by an input or another master, or its target limited (607Dh)?"

@@ -17,6 +17,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     Mode,
     aim,
     begin_move,
+    braking_distance,
     elapsed_s,
     error_ending,
     expect_moved,
@@ -38,6 +39,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     reached,
     rest_for,
     shortest_s,
+    smooth_move,
     speed,
     torque_of,
     until_rest_s,
@@ -50,6 +52,7 @@ from motorhil.motorapi import (
     MotorError,
     MotorState,
     TrapezoidalTrajectory,
+    UnsupportedError,
 )
 
 _BACK_S = 1.0
@@ -60,6 +63,9 @@ _BOTH = (True, False)
 _LATER = [(skip, False, True) for skip in range(6)]  # of the host, in a start that needs few
 _FRAMES_OF_STOP = 3  # the stop, and frames that go before it
 _SLOW = 4.0  # times the shortest move: a stop can be repeated before its end
+_FIRST_OF_STOP = (2, 3)
+_SPEED_S = 0.02
+_LATE = 0.7  # of the time within which a loss is noticed
 _HOLDS = 0.2  # of the largest torque
 _GONE = (MotorState.OFFLINE, MotorState.FAULT)
 _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
@@ -326,6 +332,29 @@ def lost_frame_keeps_report_truthful(bench: RigProtocol) -> None:
     reached(hit > 0, "the loss of a frame")
     for skip in range(_FRAMES_OF_STOP if bench.facts.repeats_stops else 0):
         _expect_stop_without_frame(bench, skip)
+    for limit in _FIRST_OF_STOP if bench.facts.repeats_stops else ():
+        _expect_ramp_of_streamed_stop(bench, limit)
+
+
+def _expect_ramp_of_streamed_stop(bench: RigProtocol, limit: int) -> None:
+    """Expect a stop of a streamed motion to be a ramp, although its first frames are lost."""
+    bench.afresh()
+    motor, way = bench.motor, long_move(bench)
+    motor.enable()
+    try:
+        follow(motor, smooth_move(motor, way))
+    except UnsupportedError:
+        return
+    rest_for(bench, midway_s(motor, way, 0.5))
+    velocity, before = speed(bench, motor, _SPEED_S), position_of(bench, motor)
+    with bench.silence_host(limit=limit):
+        error = failure_of(motor.stop, partial(finish, bench, motor))
+    made, least = position_of(bench, motor) - before, 0.5 * braking_distance(motor, velocity)
+    expect(
+        error is not None or made >= least,
+        f"the first {limit} frames of the host lost in a stop of a streamed motion: moved by"
+        f" {made:g} {motor.model.unit} to rest; expected a ramp, at least {least:g}",
+    )
 
 
 def _expect_stop_without_frame(bench: RigProtocol, skip: int) -> None:
@@ -393,6 +422,26 @@ def loss_of_one_kind_of_frame_is_told(bench: RigProtocol) -> None:
         bench.afresh()
         bench.motor.enable()
         _expect_start_is_told(bench, bench.motor, identifier)
+        bench.afresh()
+        _expect_end_in_time(bench, bench.motor, identifier)
+
+
+def _expect_end_in_time(bench: RigProtocol, motor: Motor, identifier: int) -> None:
+    """Expect the end of a motion to be told once the loss of frames before the wait is noticed."""
+    way, lost_s = 0.25 * long_move(bench), bench.facts.lost_s
+    expected_s = shortest_s(motor, way)
+    begin_move(bench, motor, way, 0.3 * expected_s)
+    begun_ns = bench.runtime.now_ns()
+    with bench.lose_identifier(identifier):
+        rest_for(bench, _LATE * lost_s)
+        error = failure_of(partial(finish, bench, motor, expected_s))
+    took_s = elapsed_s(bench, begun_ns)
+    within_s = max(0.7 * expected_s, lost_s) + bench.facts.time_tolerance_s
+    expect(
+        error is not None or took_s <= within_s,
+        f"all frames {identifier:03X}h lost: done was reported {took_s:.3f} s later; expected"
+        f" within {within_s:.3f} s",
+    )
 
 
 def _expect_start_is_told(bench: RigProtocol, motor: Motor, identifier: int) -> None:

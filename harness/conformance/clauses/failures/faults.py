@@ -73,6 +73,8 @@ _TIMEOUT: Final = "timeout_s"
 _PATIENT: Final = 0.9
 _READINGS: Final = 3
 _SPOT_S: Final = 0.5
+_HOMINGS: Final = 4
+_BETWEEN_S: Final = 0.04
 _SEARCH_S: Final = 0.4
 _LATE_S: Final = (0.11, 0.21, 0.31)
 _LATE_PLACES: Final = 4
@@ -622,6 +624,22 @@ def homing_on_the_spot_sets_zero(bench: RigProtocol) -> None:
         own is None or again is None or abs(again - own) <= bench.facts.window,
         f"home() ended at {own} {motor.model.unit}, and after home({_HERE}) at {again}",
     )
+    _expect_even_times(bench, motor)
+
+
+def _expect_even_times(bench: RigProtocol, motor: Motor) -> None:
+    """Expect homing on the spot to take as long each time: its end is told when it comes."""
+    took_s = []
+    for number in range(_HOMINGS):
+        if number % 2:
+            move(bench, motor, 0.1 * long_move(bench))
+        begun_ns = bench.runtime.now_ns()
+        motor.home(_HERE)
+        took_s.append(elapsed_s(bench, begun_ns))
+        rest_for(bench, _BETWEEN_S)
+    told = ", ".join(f"{one:.3f} s" for one in took_s)
+    apart_s = 2.0 * bench.facts.time_tolerance_s
+    expect(max(took_s) - min(took_s) <= apart_s, f"homing on the spot took {told}")
 
 
 def _place_of_own_homing(bench: RigProtocol, motor: Motor) -> float | None:
@@ -673,10 +691,19 @@ def _expect_failure(bench: RigProtocol, motor: Motor, method: int) -> None:
     expect(isinstance(error, PeerError), f"{what}; expected PeerError")
     told = getattr(error, "method", method)
     expect(told == method, f"{what}; expected method {method}, not {told}")
+    words = [motor.name, *([f"method {method}"] if hasattr(error, "method") else [])]
+    expect(all(one in f"{error}" for one in words), f"{what}: {error}; expected {words}")
     expect(not motor.is_referenced(), f"{what}, but the motor is referenced")
     motor.stop()
     finish(bench, motor)
     move_exactly(bench, motor, 0.1 * long_move(bench), what)
+    error = failure_of(partial(motor.home, timeout_s=_FAILS_S))  # by the method that the drive has
+    told = getattr(error, "method", None)
+    is_named = re.search(r"method \d", f"{error}") and not isinstance(error, UnsupportedError)
+    expect(
+        told == method or (told is None and not is_named),
+        f"homing by the drive's own method, after {method}: {error!r}; expected no other method",
+    )
 
 
 def _expect_search_is_stopped(bench: RigProtocol, motor: Motor, method: int) -> None:
@@ -848,3 +875,10 @@ def fault_has_text_of_its_maker(bench: RigProtocol) -> None:
             fault is None or words.lower() in fault.text.lower(),
             f"fault {code:X}h is reported as {fault}; its maker calls it {words}",
         )
+    bench.afresh()
+    rest_for(bench, bench.facts.time_tolerance_s)  # it has power
+    motor = bench.motor
+    bench.fail(motor, code)
+    motor.position()  # a drive is known by its answers, whatever its fault
+    fault = motor.fault()
+    expect(fault is None or fault.code == code, f"first of all, fault {code:X}h is told as {fault}")

@@ -25,6 +25,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     position_of,
     rest_for,
     shortest_s,
+    smooth_move,
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.harness.rig.config.toml import RigError
@@ -251,6 +252,12 @@ def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
             finish(bench, motor, 1.0)
             motor.stop()
             finish(bench, motor)
+    refusal = failure_of(partial(follow, motor, smooth_move(motor, 0.1 * long_move(bench))))
+    if isinstance(refusal, UnsupportedError):
+        told = f"the refusal of a function lists what is not: {refusal}"
+        expect("None" not in f"{refusal}", told)
+    elif refusal is None:
+        finish(bench, motor, 1.0)
 
 
 def _usual(bench: RigProtocol, variable: ControlVariable) -> float:

@@ -656,8 +656,7 @@ def failing_function_ends_the_motion(bench: RigProtocol) -> None:
             off, most = motor.following_error(), 1.5 * bench.facts.window
             what = f"after its function failed: {off:g} {motor.model.unit} off its demand, at rest"
             expect(abs(off) <= most, f"{what}; expected at most {most:g} {motor.model.unit}")
-        motor.stop()
-        finish(bench, motor)
+    move(bench, motor, 0.1 * way)  # no stop is needed before
 
 
 class _Sweep:

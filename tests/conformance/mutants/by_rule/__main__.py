@@ -113,7 +113,7 @@ def known_verdicts(stride: int) -> int:
     for one in known()[::stride]:
         mutant = one.mutant()
         run = Run(one.bench, one.clause, _DEAR_S, "passed", {})
-        trial = tried(mutant, [run], afresh=not mutant.is_in_function)
+        trial = tried(mutant, [run], afresh=one.is_early or not mutant.is_in_function)
         if trial.outcome.value != one.outcome:
             wrong += 1
             print(f"known.toml: expected {one.outcome} by {one.clause}", file=sys.stderr)

@@ -16,7 +16,7 @@ VARIANTS: Final = (
     *("halt by the quick stop ramp", "quirk halt_holds_mode", "starts near the end of the counter"),
     *("torque limit in the drive", "two units of speed", "PDOs without identifiers", "no RPDOs"),
     *("position limits in the drive", "no TPDOs", "SI units", "no heartbeat consumer"),
-    *("home offset", "fixed TPDOs and window, no factors"),
+    *("home offset", "fixed TPDOs and window, no factors", "no position in PDOs"),
 )
 VARIED: Final = {
     "cia402": (

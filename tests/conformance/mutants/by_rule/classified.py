@@ -81,6 +81,7 @@ class Known:
         function, change: of the mutant.
         clause, bench: what executes it.
         outcome: how the trial ends.
+        is_early: whether it takes effect while modules are imported, though it is in a function.
     """
 
     function: str
@@ -88,6 +89,7 @@ class Known:
     clause: str
     bench: str
     outcome: str
+    is_early: bool = False
 
     def mutant(self) -> Mutant:
         """Return the mutant.

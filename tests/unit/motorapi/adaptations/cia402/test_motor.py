@@ -288,15 +288,16 @@ def test_unknown_homing_method_is_refused(rig: Rig):
         motor_of(rig).home(99)
 
 
-def test_failed_homing_raises_an_error(rig: Rig):
+@pytest.mark.parametrize(("method", "told"), [(37, "by method 37"), (None, "by its own method")])
+def test_failed_homing_raises_an_error(rig: Rig, method: int | None, told: str):
     motor = motor_of(rig)
     motor.enable()
-    motor.home(37, wait=False)
+    motor.home(method, wait=False)
     watch = motor.hardware.node.watch
     assert watch is not None
     watch.see(0x0237, 0, rig.runtime.now_ns())
     watch.see(0x2637, 0, rig.runtime.now_ns())  # homing error, drives.md: 2400h
-    with pytest.raises(HomingFailed, match="method 37"):
+    with pytest.raises(HomingFailed, match=told):
         motor.wait_until_done(timeout_s=1)
 
 
