@@ -95,6 +95,20 @@ def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
     expect_at(bench, motor, origin + 2.0 * way, "moved after low-level access")
 
 
+@clause("LOW-14", Level.L2, source="Motor.low_level: UnsupportedError; errors: motor, feature")
+def low_level_access_is_given_or_refused(bench: RigProtocol) -> None:
+    """Low-level access gives an object, or is refused by name and feature; the motor then works."""
+    motor = bench.motor
+    try:
+        with motor.low_level() as hardware:
+            expect(hardware is not None, f"low-level access of {motor.name} gives no object")
+    except UnsupportedError as error:
+        told = f"refused: {error}; expected {motor.name} and the low-level access"
+        expect(error.motor == motor.name and "low-level" in error.feature, told)
+    motor.enable()
+    expect_state(motor, MotorState.ENABLED, "after low-level access")
+
+
 @clause(
     "LOW-02",
     Level.L2,
