@@ -1,0 +1,214 @@
+"""L5: the connection to a CAN drive that adaptations are made of, without an answer.
+
+The drive is one that is not there: its number is free, and it has no frames. The hardware object is
+made by this module, as an author would make it.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from typing import ClassVar, Final, final
+
+import can
+
+from motorhil.frozen import frozen
+from motorhil.harness.conformance.bench import Ability, RigProtocol
+from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
+from motorhil.harness.conformance.clauses.helpers import elapsed_s, failure_of, rest_for
+from motorhil.motorapi import DeadlineExceeded, LinkError
+from motorhil.motorapi.api import CanDrive, Fault, Options, StreamedCanHardware
+
+_FREE: Final = 250
+_TIMEOUT_S: Final = 0.2
+_REPEAT_S: Final = 0.06
+_CONNECT_S: Final = 0.35
+_LIFE_S: Final = 0.1
+_MANY: Final = 50
+_KEY: Final = "a key"
+_BENCH: Final = {Ability.SETTINGS}
+_SOURCE: Final = "docs: reference, the adaptation API, the hardware object on CAN"
+
+
+@final
+@frozen
+class _NoOptions(Options):
+    """No options."""
+
+
+@final
+class _Absent(StreamedCanHardware[_NoOptions]):
+    """The hardware object of a drive that is not there."""
+
+    OPTIONS = _NoOptions
+    NOUN: ClassVar[str] = "an absent drive"
+    NODE_ID_MAX: ClassVar[int] = 255
+    LACKS: str = "hello"
+    CONNECT_S: float = _CONNECT_S
+
+    def _begin(self) -> None:
+        self.asked_ns: list[int] = []
+        self.life = self.drive.expect("beat", _LIFE_S, self._lose)
+        self._stream(10.0, 0.0)
+
+    def _knows(self) -> bool:
+        return False
+
+    def _greet(self) -> None:
+        self.ask()
+
+    def ask(self) -> None:
+        """Note the time of a request; nobody hears it."""
+        self.asked_ns.append(self.drive.runtime.now_ns())
+        expect(len(self.asked_ns) <= _MANY, f"asked {_MANY} times: without a pause")
+
+    @property
+    def is_on(self) -> bool:
+        return False
+
+
+def _absent(bench: RigProtocol) -> _Absent:
+    """Return the hardware object of a drive that is not on the bus of the motor under test.
+
+    Raises:
+        NotApplicable: the motor is on no CAN bus.
+    """
+    link = bench.link
+    if not isinstance(link, can.BusABC):
+        raise NotApplicable("the motor is on no CAN bus")
+    return _Absent(link, _FREE, runtime=bench.runtime)
+
+
+@clause("API-01", Level.L5, bench=_BENCH, source=_SOURCE)
+def request_is_repeated_until_its_time_is_over(bench: RigProtocol) -> None:
+    """A connection to a CAN drive repeats a request at its interval, and ends in time."""
+    absent = _absent(bench)
+    drive, never, key = absent.drive, lambda: False, _KEY
+    waits: tuple[tuple[str, float | None, Callable[[float | None], None]], ...] = (
+        ("exchange", _REPEAT_S, lambda s: drive.exchange(absent.ask, never, _TIMEOUT_S, key, s)),
+        ("exchange", None, lambda s: drive.exchange(absent.ask, never, _TIMEOUT_S, key, s)),
+        ("ask", _REPEAT_S, lambda s: drive.ask(key, absent.ask, _TIMEOUT_S, key, s)),
+        ("ask", None, lambda s: drive.ask(key, absent.ask, _TIMEOUT_S, key, s)),
+    )
+    for name, repeat_s, wait in waits:
+        what = f"{name}() for {_TIMEOUT_S:g} s, repeated every {repeat_s} s"
+        error = _wait(bench, absent, what, partial(wait, repeat_s), _TIMEOUT_S, repeat_s)
+        is_told = isinstance(error, DeadlineExceeded) and key in error.awaited
+        expect(is_told and f"{_TIMEOUT_S:g} s" in str(error), f"{what}: {error!r}")
+    what = f"connect() to a drive that is not there, within {_CONNECT_S:g} s"
+    error = _wait(bench, absent, what, absent.connect, _CONNECT_S, _REPEAT_S)
+    expect(isinstance(error, LinkError) and absent.LACKS in str(error), f"{what}: {error!r}")
+    absent.close()
+
+
+def _wait(
+    bench: RigProtocol,
+    absent: _Absent,
+    what: str,
+    wait: Callable[[], None],
+    within_s: float,
+    repeat_s: float | None,
+) -> Exception | None:
+    """Check how often is asked, no more often than at the interval, and for how long; its error."""
+    absent.asked_ns.clear()
+    begun_ns, slack_s = bench.runtime.now_ns(), bench.facts.time_tolerance_s
+    error = failure_of(wait)
+    took_s = elapsed_s(bench, begun_ns)
+    expect(within_s <= took_s + 1e-9 <= within_s + slack_s, f"{what}: ended after {took_s:g} s")
+    asked, gaps = absent.asked_ns, [(b - a) / 1e9 for a, b in pairwise(absent.asked_ns)]
+    expect(len(asked) > (repeat_s is not None), f"{what}: asked {len(asked)} times")
+    expect(bool(gaps) is (repeat_s is not None), f"{what}: asked {len(asked)} times")
+    least_s = min(gaps, default=within_s)
+    expect(least_s >= (repeat_s or 0.0) - 1e-6, f"{what}: asked again after {least_s:g} s")
+    return error
+
+
+@clause("API-02", Level.L5, bench=_BENCH, source=_SOURCE)
+def told_values_are_remembered_until_doubted(bench: RigProtocol) -> None:
+    """What a CAN drive was told is known until it is lost, or another program has commanded it."""
+    absent = _absent(bench)
+    drive = absent.drive
+    expect(drive.remembered(_KEY) is None, "a drive that was told nothing is said to know a value")
+    losses: tuple[tuple[str, Callable[[], object]], ...] = (
+        ("doubt()", drive.doubt),
+        ("forget()", absent.forget),
+        ("overheard()", lambda: absent.overheard("a clause", bench.runtime.now_ns())),
+        ("a loss of the drive", lambda: rest_for(bench, 2.0 * _LIFE_S)),
+    )
+    for what, lose in losses:
+        drive.remember(_KEY, what)
+        found = drive.remembered(_KEY)
+        expect(found == what, f"told {what!r}, and remembered {found!r}")
+        absent.life.came(bench.runtime.now_ns())
+        lose()
+        found = drive.remembered(_KEY)
+        expect(found is None, f"after {what}, still taken as known to the drive: {found!r}")
+    expect(drive.is_lost, f"no beat for {2.0 * _LIFE_S:g} s, and the drive is not lost")
+    absent.close()
+
+
+@clause("API-03", Level.L5, bench=_BENCH, source=_SOURCE)
+def declared_start_is_offered_to_groups(bench: RigProtocol) -> None:
+    """A drive offers the command that starts its motions to groups once it is declared."""
+    absent = _absent(bench)
+    drive = absent.drive
+    offer = drive.own_offer()
+    expect(offer is None, f"no command that starts a motion is declared, and the offer is {offer}")
+    drive.starts_by(0x123, 8)
+    offer = drive.own_offer()
+    expect(
+        offer is not None and (offer.firing is not None or bool(offer.no_firing_bound)),
+        f"a start by 123h with 8 bytes is declared, and the offer is {offer}",
+    )
+    firing = None if offer is None else offer.firing
+    frames = [] if firing is None else [(one.can_id, one.length) for one in firing.frames]
+    expect(firing is None or frames == [(0x123, 8)], f"a start by 123h with 8 bytes: {frames}")
+    absent.close()
+
+
+@clause("API-04", Level.L5, bench=_BENCH, source=_SOURCE)
+def cleared_fault_is_awaited_in_turns(bench: RigProtocol) -> None:
+    """A fault that a drive is to forget is read again and again, with pauses, and not for ever."""
+    absent = _absent(bench)
+    for clears in (False, True):
+        absent.asked_ns.clear()
+        absent.fault = Fault(1, "a fault of a clause", bench.runtime.now_ns())
+
+        def read(clears: bool = clears) -> int:
+            absent.ask()
+            return 0 if clears and len(absent.asked_ns) > 1 else 1
+
+        begun_ns = bench.runtime.now_ns()
+        absent.await_clear(read, _TIMEOUT_S)
+        took_s = elapsed_s(bench, begun_ns)
+        times = len(absent.asked_ns)
+        expect(times > 1, f"a fault that stays for a time was read {times} times")
+        most_s = _TIMEOUT_S + bench.facts.time_tolerance_s
+        expect(took_s <= most_s, f"a fault was awaited for {took_s:g} s; limit {most_s:g} s")
+        is_there = absent.fault is not None
+        expect(is_there is not clears, f"read as {int(not clears)}, known as {absent.fault}")
+    absent.close()
+
+
+@clause("API-05", Level.L5, bench={Ability.SECOND_PROGRAM}, source=_SOURCE)
+def foreign_owner_is_told_by_token(bench: RigProtocol) -> None:
+    """A connection to a CAN drive tells whether another program owns the motor, or this one."""
+    bench.apart()
+    motor, other = bench.motor, bench.another_user_of(bench.motor)
+    drive: object = getattr(getattr(motor, "hardware", None), "drive", None)
+    if not isinstance(drive, CanDrive):
+        raise NotApplicable("the adaptation is not made of a connection to a CAN drive")
+
+    def expect_owner(what: str, is_ours: bool, is_foreign: bool) -> None:
+        found = (drive.is_owned, drive.foreign_token() != 0)
+        expect(
+            found == (is_ours, is_foreign),
+            f"{what}: (ours, another program's) is {found}, by token {drive.foreign_token()}",
+        )
+
+    expect_owner("before any command", False, False)
+    with other.reserve("a clause"):
+        expect_owner("reserved by another program", False, True)
+    expect_owner("released by another program", False, False)
+    with motor.reserve("a clause"):
+        expect_owner("reserved by this program", True, False)
+    expect_owner("released by this program", False, False)
