@@ -1,5 +1,7 @@
 """L0: motors match their models; identity and state are right."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
@@ -210,10 +212,11 @@ def error_of_hook_is_named(bench: RigProtocol) -> None:
     """If a hook or trigger raises an error of Python, the caller gets its class, place and text."""
     motor = bench.motor
     hooks: Any = motor.logical.hooks
-    for where, text, operation in (
-        ("fire", _ODD, lambda: hooks.fire(_Failing())),
-        ("_stop", "argument", lambda: hooks.stop(1, 2, 3)),
-    ):
+    operations: tuple[tuple[str, str, Callable[[], object]], ...] = (
+        ("fire", _ODD, partial(hooks.fire, _Failing())),
+        ("_stop", "argument", partial(hooks.stop, 1, 2, 3)),
+    )
+    for where, text, operation in operations:
         name = type(motor).__qualname__
         try:
             operation()

@@ -110,6 +110,29 @@ def low_level_access_is_given_or_refused(bench: RigProtocol) -> None:
 
 
 @clause(
+    "LOW-15",
+    Level.L2,
+    needs={Capability.LOW_LEVEL},
+    source="errors, LinkError: this hardware object is closed; docs: the motor interface",
+)
+def closed_hardware_object_ends_its_motor(bench: RigProtocol) -> None:
+    """Once its hardware object was closed, a motor measures nothing and takes no command."""
+    motor = bench.motor
+    with motor.low_level() as hardware:
+        close = _simple(hardware, "close")
+    motor.enable()
+    motor.disable()
+    motor.is_referenced()
+    close()
+    for operation in (
+        *(motor.is_referenced, motor.position, motor.velocity, motor.enable, motor.disable),
+        *(motor.reset_fault, MotorGroup(motor).sync_capability),
+    ):
+        what = f"{operation.__name__}() returned, although the hardware object was closed"
+        expect_raises(MotorError, operation, what)
+
+
+@clause(
     "LOW-02",
     Level.L2,
     needs={Capability.LOW_LEVEL, Capability.VELOCITY_SET_POINT},

@@ -1,9 +1,10 @@
-"""L5: the connection to a CAN drive that adaptations are made of, without an answer.
+"""L5: the connections that adaptations are made of, to drives that do not answer, or not well.
 
-The drive is one that is not there: its number is free, and it has no frames. The hardware object is
-made by this module, as an author would make it.
+The CAN drive is one that is not there: its number is free, and it has no frames. The line is one of
+this module, and answers as a clause says. The hardware objects are made as an author makes them.
 """
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
@@ -15,8 +16,20 @@ from motorhil.frozen import frozen
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import elapsed_s, failure_of, rest_for
-from motorhil.motorapi import DeadlineExceeded, LinkError
-from motorhil.motorapi.api import CanDrive, Fault, Options, StreamedCanHardware
+from motorhil.motorapi import DeadlineExceeded, LinkError, PeerError
+from motorhil.motorapi.api import (
+    ByteLine,
+    CanDrive,
+    Exchange,
+    ExchangeLine,
+    Fault,
+    LineProtocolViolation,
+    LineUnit,
+    Options,
+    Registration,
+    Runtime,
+    StreamedCanHardware,
+)
 
 _FREE: Final = 250
 _TIMEOUT_S: Final = 0.2
@@ -27,6 +40,10 @@ _MANY: Final = 50
 _KEY: Final = "a key"
 _BENCH: Final = {Ability.SETTINGS}
 _SOURCE: Final = "docs: reference, the adaptation API, the hardware object on CAN"
+_GOOD, _REFUSED, _SPOILED, _NONE = b"+", b"-", b"?", b""
+_ANSWERED_S: Final = 0.01
+_SILENT_S: Final = 2.0
+_OUTAGES: Final = 3
 
 
 @final
@@ -212,3 +229,149 @@ def foreign_owner_is_told_by_token(bench: RigProtocol) -> None:
     with motor.reserve("a clause"):
         expect_owner("reserved by this program", True, False)
     expect_owner("released by this program", False, False)
+
+
+@final
+class _Wire:
+    """A connection whose far end answers as it was told to; see `ByteLine`."""
+
+    name = "a line of a clause"
+    framing = "tcp"
+    silence_ns = 0
+    is_closed = False
+
+    def __init__(self, runtime: Runtime) -> None:
+        self.answers: deque[bytes] = deque()
+        self.sent_ns: list[int] = []
+        self.opened_ns: list[int] = []
+        self._runtime = runtime
+        self._hear: list[Callable[[bytes, int], None]] = []
+
+    def duration_ns(self, characters: int) -> int:
+        return 0 * characters
+
+    def send(self, data: bytes) -> None:
+        self.sent_ns.append(self._runtime.now_ns())
+        answer = self.answers.popleft() if self.answers else _NONE
+        timers: list[Registration] = []
+
+        def deliver() -> None:
+            timers.pop().cancel()
+            self._hear[-1](answer, self._runtime.now_ns())
+
+        if answer:
+            timers.append(self._runtime.every(_ANSWERED_S, deliver))
+
+    def listen(self, on_data: Callable[[bytes, int], None]) -> Registration:
+        self._hear.append(on_data)
+        return _Listening()
+
+    def reconnect(self) -> None:
+        self.opened_ns.append(self._runtime.now_ns())
+
+
+@final
+class _Listening:
+    def cancel(self) -> None:
+        """The far end does not send by itself."""
+
+
+@final
+class _Codec:
+    """A protocol of one byte: it is an answer, a refusal, or none of them; see `Codec`."""
+
+    is_inside = False
+
+    def __init__(self) -> None:
+        self.heard: bytes = b""
+
+    def begin(self) -> None:
+        self.heard = b""
+
+    def encode(self, exchange: Exchange[bytes, bytes]) -> bytes:
+        return exchange.request
+
+    def feed(self, data: bytes, exchange: Exchange[bytes, bytes] | None) -> bytes | None:
+        self.heard += data
+        return data if data in (_GOOD, _REFUSED) else None
+
+    def answers(self, answer: bytes, request: bytes) -> bool:
+        return True
+
+    def refusal(self, exchange: Exchange[bytes, bytes], answer: bytes) -> PeerError | None:
+        return PeerError("refused by a clause") if answer == _REFUSED else None
+
+    def awaited(self, request: bytes) -> str:
+        return "a byte"
+
+
+@final
+class _ByteExchanges(ExchangeLine[bytes, bytes]):
+    def _codec(self) -> _Codec:
+        return _Codec()
+
+
+@final
+class _Unit(LineUnit[bytes, bytes]):
+    LINE = _ByteExchanges
+
+    def _units(self, line: ByteLine) -> range:
+        return range(1, 3)
+
+
+@clause("API-06", Level.L5, bench=_BENCH, source="docs: how to use Modbus drives; LineUnit")
+def lost_reading_is_repeated_once(bench: RigProtocol) -> None:
+    """A reading is repeated once if its answer is lost or spoiled; others are never repeated."""
+    wire = _Wire(bench.runtime)
+    unit = _Unit(wire, 1, bench.runtime, wire, _TIMEOUT_S)
+
+    def reading() -> bytes:
+        return unit.ask_repeatedly(lambda: b"r")
+
+    def command() -> bytes:
+        return unit.command(b"c")
+
+    lost, refused, spoiled = DeadlineExceeded, PeerError, LineProtocolViolation
+    for operation, answers, times, error, is_unsure in (
+        (reading, (_GOOD,), 1, None, False),
+        (reading, (_NONE, _GOOD), 2, None, False),
+        (reading, (_SPOILED, _GOOD), 2, None, False),
+        (reading, (_REFUSED, _GOOD), 1, refused, False),
+        (reading, (_NONE, _REFUSED), 2, refused, False),
+        (command, (_GOOD,), 1, None, False),
+        (command, (_REFUSED, _GOOD), 1, refused, False),
+        (command, (_NONE, _GOOD), 1, lost, True),
+        (command, (_SPOILED, _GOOD), 1, spoiled, False),
+        (reading, (_NONE, _NONE), 2, lost, True),
+    ):
+        wire.answers = deque(answers)
+        wire.sent_ns.clear()
+        before, found = unit.standing, failure_of(operation)
+        what = f"a {operation.__name__} with the answers {answers}"
+        expect(len(wire.sent_ns) == times, f"{what}: sent {len(wire.sent_ns)} times, not {times}")
+        kind = type(None) if error is None else error
+        expect(isinstance(found, kind), f"{what}: {found!r}; expected {kind.__name__}")
+        changed = unit.standing != before
+        expect(changed is is_unsure, f"{what}: values of the drive are doubted: {changed}")
+    unit.close()
+
+
+@clause("API-07", Level.L5, bench=_BENCH, source="docs: how to use Modbus drives; ExchangeLine")
+def silent_connection_is_opened_anew(bench: RigProtocol) -> None:
+    """A TCP connection that is silent for 2 s is opened anew, and is given 2 s again."""
+    wire = _Wire(bench.runtime)
+    unit = _Unit(wire, 1, bench.runtime, wire, _TIMEOUT_S)
+    begun_ns, most_s = bench.runtime.now_ns(), _OUTAGES * (_SILENT_S + 2.0 * _TIMEOUT_S)
+    while elapsed_s(bench, begun_ns) < most_s:
+        error = failure_of(partial(unit.command, b"c"))
+        expect(isinstance(error, DeadlineExceeded), f"without an answer: {error!r}")
+    opened_s = [(at_ns - begun_ns) / 1e9 for at_ns in (begun_ns, *wire.opened_ns)]
+    told = ", ".join(f"{at_s:g}" for at_s in opened_s[1:])
+    least_s = min((b - a for a, b in pairwise(opened_s)), default=0.0)
+    expect(
+        len(opened_s) > _OUTAGES and least_s >= _SILENT_S,
+        f"silent for {most_s:g} s, and opened anew after {told or 'never'} s",
+    )
+    wire.answers = deque((_GOOD,))
+    unit.command(b"c")
+    unit.close()
