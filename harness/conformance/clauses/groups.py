@@ -139,11 +139,17 @@ def sync_quality_is_as_measured(bench: RigProtocol) -> None:
     expect_raises(
         UsageError, group.sync_quality, "sync_quality() returned a value before the first start"
     )
+    before = [motor.logical.hooks.motion_times() for motor in group]
     track = GroupPositions(bench, group)
     group.start()
     finish_group(bench, group)
     track.end()
     quality = group.sync_quality()
+    for (name, after), was in zip(quality.times, before, strict=True):
+        expect(
+            was is None or (was.started_ns is None and after is not None),
+            f"{name}: before its first motion, its times were {was}; after it, they are {after}",
+        )
     seen_s = track.skew_s(BEGUN, ways) or 0.0
     error_s = sampling_error_s(bench, way, BEGUN) + bench.facts.latency_s[1]
     expect(
