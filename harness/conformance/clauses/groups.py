@@ -1,6 +1,6 @@
 """L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from itertools import product
@@ -89,6 +89,8 @@ _FIRST = 0.01  # of a streamed move: it has begun
 _LITTLE = 0.05  # of the largest torque
 _FAR = 1e-6  # U: two skews that are not meant to differ
 _INSTANTS = 400  # of a pair of profiles
+_HEARD = 5  # positions of each member: some can be compared
+_HEARD_S = 0.005
 
 
 @clause(
@@ -679,8 +681,11 @@ def _expect_line(
     """
     can = group.sync_capability()
     track = GroupPositions(bench, group)
+    heard: list[set[int]] = [set() for _ in group]
     group.start()
+    timer = bench.runtime.every(_HEARD_S, partial(_note_heard, group, heard))
     took_s = finish_group(bench, group)
+    timer.cancel()
     track.end()
     expect(len(can.path) == len(ways), f"a path of {len(can.path)} motors was predicted")
     worst = _distance_from_line(track, ways)
@@ -696,10 +701,25 @@ def _expect_line(
         worst <= allowed,
         f"deviation from the line: {worst:.6g}; allowed are {allowed:.6g}",
     )
-    reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
+    path, often = group.sync_quality().path, min(map(len, heard))
+    expect(
+        often < _HEARD or all(one.deviation is not None for one in path),
+        f"{often} positions of each member came in its motion, and none was compared: {path}",
+    )
+    reported = max(one.deviation or 0.0 for one in path)
     expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
     _expect_rounding(group)
     return track, took_s
+
+
+def _note_heard(group: MotorGroup, heard: Sequence[set[int]]) -> None:
+    """Note the time of the last position that each member has told, with power."""
+    for motor, times in zip(group, heard, strict=True):
+        latest = motor.latest()
+        if latest is None or latest.position is None:
+            continue
+        if latest.state is MotorState.ENABLED:
+            times.add(latest.time_ns)
 
 
 def _expect_rounding(group: MotorGroup) -> None:
