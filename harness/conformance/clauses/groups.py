@@ -978,6 +978,9 @@ def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
         rest_for(bench, midway_s(other, way, 0.2))
         bench.fail(failing)
         error = failure_of(partial(group.wait_until_done, 10.0)) if waits else None
+        notes = " ".join(getattr(error, "__notes__", ()))
+        is_named = f"from {failing.name}" in notes
+        expect(is_named or not waits, f"{what}: {error} with the notes {notes!r}")
         for _ in range(_LOOKS):
             rest_for(bench, shortest_s(other, way) / _LOOKS)
             failing.position()  # a host that only polls when asked to notices the fault now
