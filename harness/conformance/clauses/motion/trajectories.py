@@ -67,6 +67,8 @@ _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SLOWLY = 0.025
 _SOON_S = 0.02
+_PASSES_S = 0.08  # a start may last as long
+_PASSED_S = 0.1  # what it may have passed of the trajectory meanwhile
 _LOOKS = 12
 _LOOK_S = 0.007
 _SWEEP_S = 0.5
@@ -426,8 +428,34 @@ def _expect_passed(bench: RigProtocol, motor: Motor, way: float, velocity: float
         abs(passed - way) <= bench.facts.window + late,
         f"from {here:g} {unit}, by {way:g} {unit}: done was reported after {passed:g} {unit}",
     )
-    motor.stop()
-    finish(bench, motor)
+    _expect_taken_over_in_motion(bench, motor, way, velocity)
+
+
+def _expect_taken_over_in_motion(
+    bench: RigProtocol, motor: Motor, way: float, velocity: float
+) -> None:
+    """Check that a trajectory begins where the motor is as it passes, and not where it was."""
+    here, unit = motor.position(), motor.model.unit
+
+    def start_from(begin: float) -> None:
+        made = TrapezoidalTrajectory(begin + way, initial=begin, initial_derivatives=(velocity,))
+        motor.set_trajectory(made)
+        motor.start()
+
+    if abs(way) > 4.0 * (motor.model.start_tolerance + _PASSED_S * abs(velocity)):
+        what = f"passing {here:g} {unit} at {velocity:g} {unit}/s, began {0.5 * way:g} before that"
+        expect_raises(StateError, partial(start_from, here - 0.5 * way), what)
+    seen_ns, here = bench.runtime.now_ns(), motor.position()
+    try:
+        start_from(here)
+    except StateError as error:
+        took_s = elapsed_s(bench, seen_ns)
+        expect(took_s > _PASSES_S, f"after {took_s:g} s at {velocity:g} {unit}/s: {error}")
+        motor.stop()  # the wall clock has gone on
+        finish(bench, motor)
+        return
+    finish(bench, motor, shortest_s(motor, 2.0 * way))
+    expect_at(bench, motor, here + way, f"after a trajectory from {here:g} {unit}, in motion")
 
 
 @clause(
