@@ -66,6 +66,7 @@ _AFTER_S = 0.2
 _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SLOWLY = 0.025
+_SLIGHTLY = 0.01  # of the model's velocity
 _SOON_S = 0.02
 _PASSES_S = 0.08  # a start may last as long
 _PASSED_S = 0.1  # what it may have passed of the trajectory meanwhile
@@ -309,6 +310,25 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
             f" moved {position - before:.5g} {unit};"
             f" expected {late:.5g} to {early:.5g} {unit}",
         )
+    _expect_slight_ramp(bench, motor, _SLIGHTLY * model.velocity_max, duration_s)
+
+
+def _expect_slight_ramp(bench: RigProtocol, motor: Motor, asked: float, duration_s: float) -> None:
+    """Check that a ramp to a velocity within the window of its drive takes its time, too."""
+    motor.set_trajectory(TrapezoidalTrajectory(asked, duration_s=duration_s))
+    begun_ns = bench.runtime.now_ns()
+    try:
+        motor.start()
+    except UsageError:  # slower than the hardware can
+        return
+    finish(bench, motor, duration_s)
+    took_s, unit = elapsed_s(bench, begun_ns), motor.model.unit
+    motor.stop()
+    finish(bench, motor)
+    expect(
+        took_s >= 0.5 * duration_s,
+        f"a ramp to {asked:g} {unit}/s in {duration_s:g} s was done after {took_s:.3f} s",
+    )
 
 
 @clause(
