@@ -5,7 +5,7 @@ this module, and answers as a clause says. The hardware objects are made as an a
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import ClassVar, Final, final
@@ -16,7 +16,7 @@ from motorhil.frozen import frozen
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import elapsed_s, failure_of, rest_for
-from motorhil.motorapi import DeadlineExceeded, LinkError, PeerError
+from motorhil.motorapi import DeadlineExceeded, LinkError, Motor, MotorBusyError, PeerError
 from motorhil.motorapi.api import (
     ByteLine,
     CanDrive,
@@ -30,8 +30,10 @@ from motorhil.motorapi.api import (
     Runtime,
     StreamedCanHardware,
 )
+from motorhil.motorapi.ownership.claim import LockAction
 
 _FREE: Final = 250
+_UNUSED_ID: Final = 0x7F0
 _TIMEOUT_S: Final = 0.2
 _REPEAT_S: Final = 0.06
 _CONNECT_S: Final = 0.35
@@ -229,6 +231,20 @@ def foreign_owner_is_told_by_token(bench: RigProtocol) -> None:
     with motor.reserve("a clause"):
         expect_owner("reserved by this program", True, False)
     expect_owner("released by this program", False, False)
+    events: list[LockAction] = []
+    drive.physical.ownership.listeners.append(lambda event: events.append(event.action))
+    _expect_loss_noticed(motor, other, drive, events)
+
+
+def _expect_loss_noticed(
+    motor: Motor, other: Motor, drive: CanDrive, events: Sequence[LockAction]
+) -> None:
+    """Check that the first command after a takeover is refused, and that the loss is then known."""
+    with motor.reserve("a clause"), other.reserve("another clause", take_over=True):
+        refusal = failure_of(partial(drive.command, _UNUSED_ID, b""))
+        told = ", ".join(one.name for one in events)
+        expect(isinstance(refusal, MotorBusyError), f"a command without the motor: {refusal!r}")
+        expect(LockAction.LOST in events, f"the loss was noticed by a command; told are: {told}")
 
 
 @final
