@@ -530,7 +530,7 @@ class _Stubborn(Motor):
         return Measurement(self.runtime.now_ns(), self._state, 0.0, 0.0)
 
     def _command(self, motion: Motion) -> None:
-        """It does not move."""
+        """Do nothing: this motor does not move."""
 
     def _is_done(self) -> bool:
         if self._error is not None:

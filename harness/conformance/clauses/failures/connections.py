@@ -29,8 +29,14 @@ from motorhil.motorapi.api import (
     StreamedCanHardware,
 )
 from motorhil.motorapi.ownership.claim import LockAction
+from motorhil.motorapi.synchronization.bus_load import (
+    CanTraffic,
+    declare_traffic,
+    declared_traffic,
+)
 
 _FREE: Final = 250
+_BIT_RATE: Final = 1_000_000
 _UNUSED_ID: Final = 0x7F0
 _TIMEOUT_S: Final = 0.2
 _REPEAT_S: Final = 0.06
@@ -141,7 +147,7 @@ def _wait(
 
 @clause("API-02", Level.L5, bench=_BENCH, source=_SOURCE)
 def told_values_are_remembered_until_doubted(bench: RigProtocol) -> None:
-    """What a CAN drive was told is known until it is lost, or another program has commanded it."""
+    """A CAN drive is taken to know what it was told, until it is lost, or others command it."""
     absent = _absent(bench)
     drive = absent.drive
     expect(drive.remembered(_KEY) is None, "a drive that was told nothing is said to know a value")
@@ -167,19 +173,26 @@ def told_values_are_remembered_until_doubted(bench: RigProtocol) -> None:
 def declared_start_is_offered_to_groups(bench: RigProtocol) -> None:
     """A drive offers the command that starts its motions to groups once it is declared."""
     absent = _absent(bench)
-    drive = absent.drive
-    offer = drive.own_offer()
-    expect(offer is None, f"no command that starts a motion is declared, and the offer is {offer}")
-    drive.starts_by(0x123, 8)
-    offer = drive.own_offer()
-    expect(
-        offer is not None and (offer.firing is not None or bool(offer.no_firing_bound)),
-        f"a start by 123h with 8 bytes is declared, and the offer is {offer}",
-    )
-    firing = None if offer is None else offer.firing
-    frames = [] if firing is None else [(one.can_id, one.length) for one in firing.frames]
-    expect(firing is None or frames == [(0x123, 8)], f"a start by 123h with 8 bytes: {frames}")
     absent.close()
+    link, before = bench.link, declared_traffic(bench.link)
+    declare_traffic(link, CanTraffic(_BIT_RATE))
+    for extended in (None, False, True):
+        how = {} if extended is None else {"extended": extended}
+        drive = CanDrive(link, _FREE, absent, runtime=bench.runtime, **how)
+        offer = drive.own_offer()
+        expect(offer is None, f"no command that starts a motion is declared; the offer is {offer}")
+        drive.starts_by(0x123, 8)
+        offer = drive.own_offer()
+        what = f"a start by 123h with 8 bytes is declared, {how}; the offer is {offer}"
+        expect(offer is not None, what)
+        firing = None if offer is None else offer.firing
+        if firing is None:
+            expect(offer is not None and bool(offer.no_firing_bound), what)
+        else:
+            found = [(one.can_id, one.length, one.extended) for one in firing.frames]
+            expect(found == [(0x123, 8, bool(extended))], what)
+        drive.close(at_rest=True)
+    declare_traffic(link, before)
 
 
 @clause("API-04", Level.L5, bench=_BENCH, source=_SOURCE)
