@@ -14,8 +14,19 @@ from motorhil.frozen import frozen
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
 from motorhil.harness.conformance.clauses.helpers import elapsed_s, failure_of, rest_for
-from motorhil.motorapi import DeadlineExceeded, LinkError, Motor, MotorBusyError, PeerError
+from motorhil.motorapi import (
+    ControlMode,
+    ControlVariable,
+    DeadlineExceeded,
+    LinkError,
+    Motion,
+    Motor,
+    MotorBusyError,
+    PeerError,
+    TrapezoidalTrajectory,
+)
 from motorhil.motorapi.api import (
+    BoundFence,
     ByteLine,
     CanDrive,
     Exchange,
@@ -26,6 +37,7 @@ from motorhil.motorapi.api import (
     Options,
     Registration,
     Runtime,
+    SentFrame,
     StreamedCanHardware,
 )
 from motorhil.motorapi.ownership.claim import LockAction
@@ -42,6 +54,8 @@ _TIMEOUT_S: Final = 0.2
 _REPEAT_S: Final = 0.06
 _CONNECT_S: Final = 0.35
 _LIFE_S: Final = 0.1
+_PERIOD_S, _LEAD_S = 0.01, 0.02
+_STEEP: Final = 4.0
 _MANY: Final = 50
 _KEY: Final = "a key"
 _BENCH: Final = {Ability.SETTINGS}
@@ -71,7 +85,7 @@ class _Absent(StreamedCanHardware[_NoOptions]):
     def _begin(self) -> None:
         self.asked_ns: list[int] = []
         self.life = self.drive.expect("beat", _LIFE_S, self._lose)
-        self._stream(10.0, 0.0)
+        self._stream(1e3 * _PERIOD_S, 1e3 * _LEAD_S)
 
     def _knows(self) -> bool:
         return False
@@ -216,6 +230,37 @@ def cleared_fault_is_awaited_in_turns(bench: RigProtocol) -> None:
         expect(took_s <= most_s, f"a fault was awaited for {took_s:g} s; limit {most_s:g} s")
         is_there = absent.fault is not None
         expect(is_there is not clears, f"read as {int(not clears)}, known as {absent.fault}")
+    absent.close()
+
+
+@clause("API-08", Level.L5, bench=_BENCH, source=_SOURCE)
+def streamed_positions_lead_the_drive(bench: RigProtocol) -> None:
+    """Positions are streamed once a period, ahead by the lead of the drive, up to the last one."""
+    absent = _absent(bench)
+    drive, sent = absent.drive, list[tuple[float, float]]()
+    motion = Motion(
+        *(ControlMode.TRAJECTORY, ControlVariable.POSITION, 0.0, 1.0, 9.0, _STEEP, _STEEP),
+        trajectory=TrapezoidalTrajectory(1.0),
+    )
+    begun_ns = bench.runtime.now_ns()
+
+    def send(value: float, _: BoundFence | None) -> SentFrame:
+        sent.append((elapsed_s(bench, begun_ns), value))
+        return drive.request(_UNUSED_ID)
+
+    absent.motions.start(motion, 1.0, (0.0, 0.0), send)
+    rest_for(bench, 2.0)
+    expect(not absent.motions.is_going, "a stream of 1 s goes on after 2 s")
+    for (before_s, _), (at_s, _) in pairwise(sent):
+        off_s = abs(at_s - before_s - _PERIOD_S)
+        expect(off_s < 0.1 * _PERIOD_S, f"set-points {at_s - before_s:g} s apart")
+    for at_s, value in sent:
+        ahead_s = min(at_s + _LEAD_S, 1.0)
+        left_s = min(ahead_s, 1.0 - ahead_s)  # to the nearer end of a symmetrical move
+        short = 0.5 * _STEEP * left_s**2
+        wanted = short if ahead_s < 0.5 else 1.0 - short
+        expect(abs(value - wanted) < 1e-6, f"{value:.6f} sent after {at_s:g} s, not {wanted:.6f}")
+    expect(bool(sent) and sent[-1][1] == 1.0, f"the last set-point is {sent[-1:]}")
     absent.close()
 
 
