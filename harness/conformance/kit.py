@@ -33,6 +33,7 @@ _MODULES: Final = (
     "failures.interference",
     "failures.communication_loss",
     "failures.bus_errors",
+    "failures.connections",
 )
 """The modules of `motorhil.harness.conformance.clauses`, one for each topic."""
 _HEAD: Final = """\

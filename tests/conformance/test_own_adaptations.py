@@ -17,6 +17,7 @@ CLAUSES = all_clauses()
 # The clauses that are not applicable, so that a claim lost by mistake is noticed.
 _OF_CAN = ("BUS-01", "BUS-02", "BUS-03", "BUS-04", "BUS-05", "BUS-06", "TIME-05", "PROC-13")
 _OF_CANOPEN = ("CLOCK-01", "CLOCK-02", "LOW-05", "LOW-07", "LOW-08", "LOW-09", "PAR-01", "SYNC-20")
+_OF_CAN_DRIVE = tuple(f"API-{number:02}" for number in (1, 2, 3, 4, 5, 8))
 _LED = ("LEAD-01", "LEAD-02", "LEAD-03", "LEAD-04")
 _OF_CIA402 = ("LIM-09", "MEAS-06")  # objects of the drive; a counter that ends within its reach
 _OF_ONE_KIND = ("OPT-07", "LOW-12", "LOW-13")  # damping; a report of cycles; registers by address
@@ -27,7 +28,7 @@ _POLLED = frozenset(
         *("TRAJ-11", "TRAJ-12"),
         *("LIM-05", *_LED, "LEAD-05", "SYNC-06", "SYNC-11", "HOME-03", "LOW-03"),
         *("LOST-02", "LOST-03", "LOST-07", "LOST-08", "LOST-11", "FAULT-07", "TRAJ-14"),
-        *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CANOPEN),
+        *("SET-10", "TRAJ-10", "LOW-06", "SYNC-19", *_OF_CAN, *_OF_CAN_DRIVE, *_OF_CANOPEN),
     }
 )
 _STREAMED = frozenset(  # functions of time for positions; no common trigger, no supply switch
@@ -55,7 +56,7 @@ _OF_PROGRAMS = (
 )
 _OF_RESTARTS = {"HOME-03", "LOW-03", "LOST-07"}
 NOT_APPLICABLE = {
-    "cia402": frozenset({"SET-07", *_OF_ONE_KIND}),
+    "cia402": frozenset({"SET-07", "API-05", *_OF_ONE_KIND}),
     "ideal": frozenset(
         {
             *("STATE-02", "MEAS-02", "MEAS-03", "MEAS-05"),  # no load
@@ -66,7 +67,7 @@ NOT_APPLICABLE = {
             *(*_OF_ONE_KIND, "OPT-08", "SET-12", "LOW-10", "PROC-18", "TIME-06", "HOME-07"),
             "OTHER-02",
             *("FAULT-07", "HOME-04"),
-            *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CANOPEN),
+            *("OTHER-01", "OVER-01", "SET-10", "LOW-06", *_OF_CAN, *_OF_CAN_DRIVE, *_OF_CANOPEN),
             *(*_OF_PROGRAMS, "PROC-15"),
             *("OPT-04", "OPT-05", "OPT-06", "FIT-01", "FIT-02", "PAR-02", "FAULT-09", *_OF_CIA402),
         }
@@ -81,7 +82,7 @@ NOT_APPLICABLE = {
             *("LIM-05", "LIM-08", *_LED, "LEAD-05", "STOP-05", "STOP-09", "LOW-02", "SYNC-05"),
             *_OF_CIA402,
             *("SHARE-08", "HOME-01", "HOME-03", "LOST-08", "LOW-06", "SYNC-19"),
-            *("LOST-11", "PAR-02", "HOME-05", "FIT-02", *_OF_CAN, *_OF_CANOPEN),
+            *("LOST-11", "PAR-02", "HOME-05", "FIT-02", *_OF_CAN, *_OF_CAN_DRIVE, *_OF_CANOPEN),
         }
     ),
     "leadshine": _POLLED - _OF_RESTARTS | {"FIT-01", "FIT-02", "LIM-09"},
@@ -106,7 +107,7 @@ NOT_APPLICABLE = {
             *("OPT-07", "SET-14", "LOW-13", "OTHER-02"),
             *("PROC-14", "SET-05", "SYNC-05", "SYNC-20", "SYNC-22", "SYNC-23"),  # on one node
             *("PROC-15", "PROC-16"),  # its program holds a motor at rest by commands
-            *("FAULT-09", "MEAS-06"),
+            *("FAULT-09", "MEAS-06", "API-05"),
         }
     ),
     "vesc": _SAMPLED - {"LOW-03", "LOST-07"} | {"FIT-02"},

@@ -1,5 +1,6 @@
 """L4: groups as a whole: members, commands, reservations, failures, common stops, deviations."""
 
+import logging
 import warnings
 from collections.abc import Sequence
 from functools import partial
@@ -35,11 +36,16 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
     ControlMode,
     DerivativeLimits,
+    DeviceFault,
     FaultReaction,
     LimitError,
+    Measurement,
+    Motion,
     Motor,
     MotorBusyError,
     MotorGroup,
+    MotorModel,
+    MotorState,
     StateError,
     Synchronization,
     SyncQuality,
@@ -48,6 +54,7 @@ from motorhil.motorapi import (
     UsageError,
 )
 from motorhil.motorapi.hooks import implements
+from motorhil.motorapi.ownership.physical_motor import register_physical_motor
 
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
@@ -60,6 +67,7 @@ _LATE_S: Final = 0.004
 _CREEPS: Final = 0.001  # of the model's velocity: hardly a motion, but one
 _CREEPS_S: Final = 10.0
 _UNHEARD: Final = (3, 4, 5)  # frames: the first ones of a stop of two motors
+_JAMMED: Final = "its brake is jammed"
 
 
 @clause(
@@ -518,3 +526,74 @@ def observer_gets_each_quality(bench: RigProtocol) -> None:
 
 def _refuse(quality: SyncQuality) -> None:
     raise UsageError(f"an observer does not like {quality}")
+
+
+class _Stubborn(Motor):
+    """A motor without a drive, which takes a command, never arrives, and cannot be stopped."""
+
+    def __init__(self, name: str, bench: RigProtocol) -> None:
+        self._state = MotorState.DISABLED
+        self._error: DeviceFault | None = None
+        super().__init__(
+            name=name,
+            model=MotorModel(velocity_max=1.0, acceleration_max=1.0),
+            runtime=bench.runtime,
+            physical=register_physical_motor(bench.runtime, name, name, self),
+        )
+
+    def fail(self) -> None:
+        """End its motion by a fault."""
+        self._error = DeviceFault(motor=self.name, code=1, text="of a clause", since_ns=0)
+
+    def _connect(self) -> None:
+        """There is nothing to connect to."""
+
+    def _enable(self) -> None:
+        self._state = MotorState.ENABLED
+
+    def _disable(self) -> None:
+        self._state = MotorState.DISABLED
+
+    def _latest(self) -> Measurement:
+        return Measurement(self.runtime.now_ns(), self._state, 0.0, 0.0)
+
+    def _command(self, motion: Motion) -> None:
+        """Do nothing: this motor does not move."""
+
+    def _is_done(self) -> bool:
+        if self._error is not None:
+            raise self._error
+        return False
+
+    def _stop(self) -> None:
+        raise ValueError(_JAMMED)
+
+
+@clause("SYNC-24", Level.L4, source="FaultReaction; errors, notes: who could not be stopped, why")
+def member_that_cannot_be_stopped_is_named(bench: RigProtocol) -> None:
+    """If the reaction to a failure cannot stop a member, error and log name it, and the reason."""
+    failing, stubborn = (_Stubborn(name, bench) for name in ("failing", "stubborn"))
+    group = MotorGroup(failing, stubborn)
+    group.for_each(Motor.set_control_mode, ControlMode.TRAJECTORY)
+    group.set_trajectory(*trajectories_of(1.0, 1.0))
+    logged: list[str] = []
+
+    def is_shown(record: logging.LogRecord) -> bool:
+        """Return whether a message of the log is another one than that of this clause's error."""
+        logged.append(record.getMessage())
+        return _JAMMED not in logged[-1]
+
+    log = logging.getLogger("motorapi")
+    log.addFilter(is_shown)
+    try:
+        group.start()
+        failing.fail()
+        error = failure_of(partial(group.wait_until_done, _GROUP_TIMEOUT_S))
+    finally:
+        log.removeFilter(is_shown)
+    expect(isinstance(error, DeviceFault), f"the failure of {failing.name}: {error!r}")
+    notes = getattr(error, "__notes__", [])
+    for what, told in (("notes", notes), ("log", logged)):
+        found = [one for one in told if f"{stubborn.name} could not be stopped" in one]
+        is_told = any(_JAMMED in one for one in found) or not log.isEnabledFor(logging.ERROR)
+        expect(is_told, f"{stubborn.name} could not be stopped; the {what}: {told}")

@@ -1,6 +1,6 @@
 """L4: synchronised groups, the reported quality of synchronization, and failing members."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from itertools import product
@@ -95,6 +95,8 @@ _FIRST = 0.01  # of a streamed move: it has begun
 _LITTLE = 0.05  # of the largest torque
 _FAR = 1e-6  # U: two skews that are not meant to differ
 _INSTANTS = 400  # of a pair of profiles
+_HEARD = 5  # positions of each member: some can be compared
+_HEARD_S = 0.005
 
 
 @clause(
@@ -145,11 +147,17 @@ def sync_quality_is_as_measured(bench: RigProtocol) -> None:
     expect_raises(
         UsageError, group.sync_quality, "sync_quality() returned a value before the first start"
     )
+    before = [motor.logical.hooks.motion_times() for motor in group]
     track = GroupPositions(bench, group)
     group.start()
     finish_group(bench, group)
     track.end()
     quality = group.sync_quality()
+    for (name, after), was in zip(quality.times, before, strict=True):
+        expect(
+            was is None or after is not None,
+            f"{name}: before a motion, its times are told as {was}; after it, as {after}",
+        )
     seen_s = track.skew_s(BEGUN, ways) or 0.0
     error_s = sampling_error_s(bench, way, BEGUN) + bench.facts.latency_s[1]
     expect(
@@ -747,8 +755,11 @@ def _expect_line(
     """
     can = group.sync_capability()
     track = GroupPositions(bench, group)
+    heard: list[set[int]] = [set() for _ in group]
     group.start()
+    timer = bench.runtime.every(_HEARD_S, partial(_note_heard, group, heard))
     took_s = finish_group(bench, group)
+    timer.cancel()
     track.end()
     expect(len(can.path) == len(ways), f"a path of {len(can.path)} motors was predicted")
     worst = _distance_from_line(track, ways)
@@ -764,10 +775,25 @@ def _expect_line(
         worst <= allowed,
         f"deviation from the line: {worst:.6g}; allowed are {allowed:.6g}",
     )
-    reported = max(one.deviation or 0.0 for one in group.sync_quality().path)
+    path, often = group.sync_quality().path, min(map(len, heard))
+    expect(
+        often < _HEARD or all(one.deviation is not None for one in path),
+        f"{often} positions of each member came in its motion, and none was compared: {path}",
+    )
+    reported = max(one.deviation or 0.0 for one in path)
     expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
     _expect_rounding(group)
     return track, took_s
+
+
+def _note_heard(group: MotorGroup, heard: Sequence[set[int]]) -> None:
+    """Note the time of the last position that each member has told, with power."""
+    for motor, times in zip(group, heard, strict=True):
+        latest = motor.latest()
+        if latest is None or latest.position is None:
+            continue
+        if latest.state is MotorState.ENABLED:
+            times.add(latest.time_ns)
 
 
 def _expect_rounding(group: MotorGroup) -> None:
@@ -1026,6 +1052,9 @@ def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
         rest_for(bench, midway_s(other, way, 0.2))
         bench.fail(failing)
         error = failure_of(partial(group.wait_until_done, 10.0)) if waits else None
+        notes = " ".join(getattr(error, "__notes__", ()))
+        is_named = f"from {failing.name}" in notes
+        expect(is_named or not waits, f"{what}: {error} with the notes {notes!r}")
         for _ in range(_LOOKS):
             rest_for(bench, shortest_s(other, way) / _LOOKS)
             failing.position()  # a host that only polls when asked to notices the fault now

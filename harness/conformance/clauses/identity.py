@@ -1,5 +1,9 @@
 """L0: motors match their models; identity and state are right."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
 from motorhil.harness.conformance.bench import Ability, RigProtocol
 from motorhil.harness.conformance.clause import Level, Violated, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
@@ -20,6 +24,7 @@ from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import Motor, MotorState, PluginError, TrapezoidalTrajectory
 
 _HOLDS = 0.3  # of the largest torque
+_ODD: Final = "an odd number"
 
 
 @clause(
@@ -128,7 +133,10 @@ def _expect_record_shown(bench: RigProtocol, motor: Motor) -> None:
     )
     since_s = (bench.runtime.now_ns() if physical.run is None else physical.run.since_ns) / 1e9
     shown = repr(physical.run)
-    expect(f" since {since_s:.6f} s:" in shown, f"begun at {since_s:.6f} s, shown as {shown}")
+    expect(
+        f" since {since_s:.6f} s: not known to have ended>" in shown,
+        f"begun at {since_s:.6f} s, and going on; shown as {shown}",
+    )
 
 
 @clause(
@@ -190,3 +198,31 @@ def public_methods_are_final(bench: RigProtocol) -> None:
         bench.motor.name in shown and type(bench.motor).__name__ in shown,
         f"{bench.motor.name} is shown as {shown}",
     )
+
+
+class _Failing:
+    """A trigger whose author has forgotten that what it sends may fail."""
+
+    def fire(self) -> None:
+        raise ValueError(_ODD)
+
+
+@clause("ERR-02", Level.L0, source="errors, PluginError: plugin, where, problem; its cause")
+def error_of_hook_is_named(bench: RigProtocol) -> None:
+    """If a hook or trigger raises an error of Python, the caller gets its class, place and text."""
+    motor = bench.motor
+    hooks: Any = motor.logical.hooks
+    operations: tuple[tuple[str, str, Callable[[], object]], ...] = (
+        ("fire", _ODD, partial(hooks.fire, _Failing())),
+        ("_stop", "argument", partial(hooks.stop, 1, 2, 3)),
+    )
+    for where, text, operation in operations:
+        name = type(motor).__qualname__
+        try:
+            operation()
+        except PluginError as error:
+            told = f"{error}; expected {name}, {where}, {text!r}, and the error as its cause"
+            expect((error.plugin, error.where) == (name, where) and text in error.problem, told)
+            expect(isinstance(error.__cause__, ValueError | TypeError), told)
+        else:  # a hook may take any arguments
+            expect(where != "fire", "fire raised an error of Python, and the caller got none")

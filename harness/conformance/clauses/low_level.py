@@ -100,6 +100,43 @@ def low_level_access_is_exclusive_and_ends(bench: RigProtocol) -> None:
     expect_at(bench, motor, origin + 2.0 * way, "moved after low-level access")
 
 
+@clause("LOW-14", Level.L2, source="Motor.low_level: UnsupportedError; errors: motor, feature")
+def low_level_access_is_given_or_refused(bench: RigProtocol) -> None:
+    """Low-level access gives an object, or is refused by name and feature; the motor then works."""
+    motor = bench.motor
+    try:
+        with motor.low_level() as hardware:
+            expect(hardware is not None, f"low-level access of {motor.name} gives no object")
+    except UnsupportedError as error:
+        told = f"refused: {error}; expected {motor.name} and the low-level access"
+        expect(error.motor == motor.name and "low-level" in error.feature, told)
+    motor.enable()
+    expect_state(motor, MotorState.ENABLED, "after low-level access")
+
+
+@clause(
+    "LOW-15",
+    Level.L2,
+    needs={Capability.LOW_LEVEL},
+    source="errors, LinkError: this hardware object is closed; docs: the motor interface",
+)
+def closed_hardware_object_ends_its_motor(bench: RigProtocol) -> None:
+    """Once its hardware object was closed, a motor measures nothing and takes no command."""
+    motor = bench.motor
+    with motor.low_level() as hardware:
+        close = _simple(hardware, "close")
+    motor.enable()
+    motor.disable()
+    motor.is_referenced()
+    close()
+    for operation in (
+        *(motor.is_referenced, motor.position, motor.velocity, motor.enable, motor.disable),
+        *(motor.reset_fault, MotorGroup(motor).sync_capability),
+    ):
+        what = f"{operation.__name__}() returned, although the hardware object was closed"
+        expect_raises(MotorError, operation, what)
+
+
 @clause(
     "LOW-02",
     Level.L2,

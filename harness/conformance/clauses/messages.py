@@ -19,15 +19,18 @@ from motorhil.motorapi import (
     DerivativeLimits,
     DeviceFault,
     DomainError,
+    Fault,
     FileError,
     LimitError,
     LinkError,
+    Measurement,
     Motion,
     MotionInterrupted,
     MotorBusyError,
     MotorError,
     MotorModel,
     MotorPosition,
+    MotorState,
     PluginError,
     Setpoint,
     StateError,
@@ -36,6 +39,7 @@ from motorhil.motorapi import (
     UsageError,
 )
 from motorhil.motorapi.model import MotionKind
+from motorhil.motorapi.outcome import Ending, Outcome, Progress
 
 _NS: Final = 1_250_000_000
 _SINCE: Final = "1.250000 s"
@@ -359,6 +363,45 @@ _SHOWN: Final[tuple[tuple[object, str], ...]] = (
     ),
     (Setpoint(1.0, True), "Setpoint(value=1.0, relative=True)"),
 )
+_TOLD: Final[tuple[tuple[object, str], ...]] = (
+    (
+        Motion(
+            *(ControlMode.TRAJECTORY, ControlVariable.TORQUE, 0.0, 1.0, 1.0, 1.0, 1.0),
+            duration_s=2.5,
+        ),
+        "<Motion trajectory of torque: 0 to 1 in 2.5 s>",
+    ),
+    (Fault(0x2310, "overcurrent", _NS), f"<Fault 2310h (overcurrent) since {_SINCE}>"),
+    (
+        Outcome("m", "start() of m", Ending.DONE, _NS),
+        f"<Outcome of start() of m: done at {_SINCE}>",
+    ),
+    (
+        Outcome("m", "start() of m", Ending.FAILED, _NS, LinkError(link="can0", reason="bus off")),
+        f"<Outcome of start() of m: failed at {_SINCE}: can0: bus off>",
+    ),
+    (
+        Measurement(_NS, MotorState.ENABLED, 1.5, torque=0.5),
+        f"<Measurement at {_SINCE}: enabled, position 1.5, torque 0.5>",
+    ),
+    (
+        Progress("start() of m", 0.25, 1.0, 0.75, 0.25, 0.5, 2.0),
+        "<Progress of start() of m: 0.250 s of 1.000 s, 25.0%, at 0.5 on the way to 2>",
+    ),
+    (
+        Progress("home() of m", 0.25, None, None, None, 0.5, None),
+        "<Progress of home() of m: 0.250 s>",
+    ),
+)
+
+
+@clause("TEXT-01", Level.L0, source="Motor.fault, latest, progress, on_done: what they return")
+def results_tell_their_facts(_: RigProtocol) -> None:
+    """Motions, ends, faults, progress and measurements tell their facts in words, times in s."""
+    for value, text in _TOLD:
+        expect(repr(value) == text, f"shown as {value!r}; expected {text}")
+    end = Outcome("m", "start() of m", Ending.DONE, _NS)
+    expect(str(end) == f"start() of m: done at {_SINCE}", f"an outcome in words: {end}")
 
 
 @clause("LIM-07", Level.L2, source="paper 3.3.1: derivative limits, boundary conditions")

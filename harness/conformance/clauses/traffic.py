@@ -61,6 +61,7 @@ from motorhil.motorapi.synchronization.skew import (
 
 _RATES: Final = (125_000, 500_000, 1_000_000)
 _LOADS: Final = 60
+_BURSTS: Final = 6
 _RECOVERY_BITS: Final = 31
 _INTERMISSION_BITS: Final = 3
 _HEAD: Final = {(False, False): 34, (False, True): 54, (True, False): 22, (True, True): 41}
@@ -251,6 +252,19 @@ def _loads(seed: int) -> Iterator[tuple[BusLoad, ErrorModel]]:
         load = BusLoad("bus", rate, tuple(messages), fifo=fifo)
         if load.utilisation() < (0.65 if errors.interval_ns else 0.97):
             yield load, errors
+    for number in range(_BURSTS):
+        yield _burst(random, number), ErrorModel(0)
+
+
+def _burst(random: Random, number: int) -> BusLoad:
+    """Return a load with bursts in a FIFO queue: frames that a distance alone keeps apart."""
+    period_ns = random.randint(8, 12) * 1_000_000
+    distance_ns = period_ns // random.randint(2, 4)
+    often = Message(0x10, 8, period_ns, jitter_ns=2 * period_ns, distance_ns=distance_ns)
+    mate = Message(0x40, 8, (2 + number % 3) * period_ns, jitter_ns=period_ns // 5)
+    others = [Message(0x100 + 0x100 * n, random.randint(1, 8), 3 * period_ns) for n in range(3)]
+    queue = [replace(one, sender="a") for one in (often, mate)]
+    return BusLoad("bursts", random.choice(_RATES), (*queue, *others), fifo=frozenset("a"))
 
 
 @clause(
@@ -284,6 +298,7 @@ def response_times_are_those_of_theory(bench: RigProtocol) -> None:
                 ),
             )
         _expect_verdicts(load, errors, told)
+        _expect_worst_of_late(load, errors, told)
     expect(ErrorModel() == ErrorModel(1), f"errors if none are stated: {ErrorModel()}")
     queued = (one for one in _loads(bench.seed) if one[0].fifo)
     for load, errors in islice(queued, _HURRIED):
@@ -297,6 +312,14 @@ def response_times_are_those_of_theory(bench: RigProtocol) -> None:
 
 def _expect_equal(found: Response, wanted: Response) -> None:
     expect(found == wanted, f"{found.message.label}: {found}; the theory has {wanted}")
+
+
+def _expect_worst_of_late(load: BusLoad, errors: ErrorModel, told: Sequence[Response]) -> None:
+    """Check that deadlines that cannot be met change no response time."""
+    late = tuple(replace(one, deadline_ns=1) for one in load.messages)
+    found = [one.response_ns for one in response_times(replace(load, messages=late), errors)]
+    wanted = [one.response_ns for one in told]
+    expect(found == wanted, f"{load}, all too late: response times {found}; expected {wanted}")
 
 
 def _expect_verdicts(load: BusLoad, errors: ErrorModel, told: Sequence[Response]) -> None:

@@ -528,6 +528,7 @@ def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
             rest_for(bench, until_rest_s(bench, motor))
         rest_for(bench, _BACK_S)
         expect_same_end(motor, f"its drive was {trouble} in a motion")
+        is_over, what = motor.progress() is None, f"its drive was {trouble} in a motion, and nobody"
         if is_disabled:
             motor.disable()
         if motor.fault() is not None:
@@ -535,8 +536,11 @@ def unnoticed_failure_is_not_forgotten(bench: RigProtocol) -> None:
         motor.enable()
         error = failure_of(partial(finish, bench, motor, shortest_s(motor, way)))
         if error is None:
-            what = f"its drive was {trouble} in a motion, which nobody awaited; later, done"
-            expect_moved(bench, motor, before, way, what)
+            expect_moved(bench, motor, before, way, f"{what} awaited it; later, done")
+        expect(
+            not (is_over and isinstance(error, DeadlineExceeded)),
+            f"{what} awaited it: it was over, and goes on since the drive is back: {error}",
+        )
 
 
 @clause(

@@ -1,5 +1,6 @@
 """L1: profiles between states, under limits of their own: of slope, of jerk, of position."""
 
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from math import inf, isclose, sqrt
@@ -19,6 +20,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     follow,
     half_move,
     position_of,
+    reached,
     rest_for,
     sample_positions,
     shortest_s,
@@ -26,14 +28,20 @@ from motorhil.harness.conformance.clauses.helpers import (
 )
 from motorhil.harness.rig.config.conformance import Capability
 from motorhil.motorapi import (
+    ControlMode,
     ControlVariable,
     DerivativeLimits,
     LimitError,
+    Motion,
     TrapezoidalTrajectory,
     UnsupportedError,
 )
+from motorhil.motorapi.api import demand_of
 
 _AFTER_S: Final = 0.2
+_STEP: Final = 1e-4
+_SAMPLES: Final = 40
+_KINK: Final = 0.02  # more than a smooth second derivative changes between two steps
 
 
 @clause(
@@ -201,3 +209,57 @@ def final_velocity_brakes_at_limit(bench: RigProtocol) -> None:
         motor.stop()
         rest_for(bench, _AFTER_S)
         finish(bench, motor)
+
+
+def _motions() -> tuple[Motion, ...]:
+    """Return trajectories of every kind that a demand is made of, with their start and target."""
+    from motorhil.motorapi.functions import Polynomial
+
+    plain = Motion(
+        *(ControlMode.TRAJECTORY, ControlVariable.POSITION, 0.5, -1.5, 1.0, 4.0, 3.0),
+        trajectory=TrapezoidalTrajectory(-2.0),
+    )
+    ramp = replace(plain, variable=ControlVariable.VELOCITY, target=-0.7, duration_s=2.0)
+    rise = Polynomial((0.0, 0.0, 0.0, 10.0, -15.0, 6.0))  # from 0 to 1 in 1 s, from rest to rest
+    follows = replace(
+        plain, target=1.5, duration_s=1.0, function=rise, offset=0.5, interval=(0.0, 1.0)
+    )
+    begins = Polynomial((0.0, 0.0, 1.0))  # to 1 in 1 s, with a final velocity of 2
+    return (
+        *(plain, ramp, replace(ramp, variable=ControlVariable.TORQUE, slope=2.0), follows),
+        replace(follows, function=begins, final_velocity=2.0),
+        replace(follows, function=begins, final_velocity=2.0, rest_at=2.5),
+    )
+
+
+@clause("TRAJ-16", Level.L1, source="the adaptation API, demand_of: value and two derivatives")
+def demand_changes_by_its_derivatives(_: RigProtocol) -> None:
+    """The demand that hosts sample changes by its derivatives, from its start to its target."""
+    for motion in _motions():
+        demand = demand_of(motion)
+        begin, end = demand.initial_argument, demand.final_argument
+        for at, wanted in (
+            (begin - 0.1, motion.start),
+            (begin, motion.start),
+            (end, motion.target),
+        ):
+            found = demand.value(at)
+            expect(isclose(found, wanted, abs_tol=1e-9), f"{motion}: {found:g} at {at:g} s")
+        compared = 0
+        for sample in range(_SAMPLES):
+            at = begin + (sample + 0.4) * 1.7 * (end - begin) / _SAMPLES
+            before, after = at - _STEP, at + _STEP
+            around = [demand.second(at + steps * _STEP) for steps in (-2, 0, 2)]
+            if max(around) - min(around) > _KINK:
+                continue
+            compared += 1
+            for what, of, rate in (
+                ("value", demand.value, demand.first(at)),
+                ("first derivative", demand.first, demand.second(at)),
+            ):
+                found = (of(after) - of(before)) / (2.0 * _STEP)
+                expect(
+                    abs(found - rate) <= _KINK,
+                    f"{motion}: at {at:g} s, its {what} changes by {found:g} per s; told {rate:g}",
+                )
+        reached(compared > _SAMPLES // 2, f"a comparison of most instants of {motion}")

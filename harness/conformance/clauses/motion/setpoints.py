@@ -287,6 +287,11 @@ def setpoint_velocity_limit_is_kept(bench: RigProtocol) -> None:
             found > 0.3 * least, f"limited to {limit:.6g} {model.unit}/s, the motor hardly moved"
         )
     _expect_slow_or_refused(bench, _SLOWEST * model.velocity_max)
+    low, high = model.position_min, model.position_max
+    if abs(motor.position()) <= long_move(bench) and (low or 0.0) <= 0.0 <= (high or 0.0):
+        aim(motor, 0.0)  # all numbers of the drive may be 0 there
+        finish(bench, motor, shortest_s(motor, motor.position()))
+        _expect_slow_or_refused(bench, _SLOWEST * model.velocity_max)
 
 
 def _expect_slow_or_refused(bench: RigProtocol, limit: float) -> None:

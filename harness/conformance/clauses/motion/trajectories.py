@@ -66,7 +66,10 @@ _AFTER_S = 0.2
 _GEAR = 0.5  # of a led motor
 _LEADS = 0.1  # of the largest velocity, that of a leader
 _SLOWLY = 0.025
+_SLIGHTLY = 0.01  # of the model's velocity
 _SOON_S = 0.02
+_PASSES_S = 0.08  # a start may last as long
+_PASSED_S = 0.1  # what it may have passed of the trajectory meanwhile
 _LOOKS = 12
 _LOOK_S = 0.007
 _SWEEP_S = 0.5
@@ -307,6 +310,25 @@ def velocity_trajectory_is_ramp(bench: RigProtocol) -> None:
             f" moved {position - before:.5g} {unit};"
             f" expected {late:.5g} to {early:.5g} {unit}",
         )
+    _expect_slight_ramp(bench, motor, _SLIGHTLY * model.velocity_max, duration_s)
+
+
+def _expect_slight_ramp(bench: RigProtocol, motor: Motor, asked: float, duration_s: float) -> None:
+    """Check that a ramp to a velocity within the window of its drive takes its time, too."""
+    motor.set_trajectory(TrapezoidalTrajectory(asked, duration_s=duration_s))
+    begun_ns = bench.runtime.now_ns()
+    try:
+        motor.start()
+    except UsageError:  # slower than the hardware can
+        return
+    finish(bench, motor, duration_s)
+    took_s, unit = elapsed_s(bench, begun_ns), motor.model.unit
+    motor.stop()
+    finish(bench, motor)
+    expect(
+        took_s >= 0.5 * duration_s,
+        f"a ramp to {asked:g} {unit}/s in {duration_s:g} s was done after {took_s:.3f} s",
+    )
 
 
 @clause(
@@ -426,8 +448,34 @@ def _expect_passed(bench: RigProtocol, motor: Motor, way: float, velocity: float
         abs(passed - way) <= bench.facts.window + late,
         f"from {here:g} {unit}, by {way:g} {unit}: done was reported after {passed:g} {unit}",
     )
-    motor.stop()
-    finish(bench, motor)
+    _expect_taken_over_in_motion(bench, motor, way, velocity)
+
+
+def _expect_taken_over_in_motion(
+    bench: RigProtocol, motor: Motor, way: float, velocity: float
+) -> None:
+    """Check that a trajectory begins where the motor is as it passes, and not where it was."""
+    here, unit = motor.position(), motor.model.unit
+
+    def start_from(begin: float) -> None:
+        made = TrapezoidalTrajectory(begin + way, initial=begin, initial_derivatives=(velocity,))
+        motor.set_trajectory(made)
+        motor.start()
+
+    if abs(way) > 4.0 * (motor.model.start_tolerance + _PASSED_S * abs(velocity)):
+        what = f"passing {here:g} {unit} at {velocity:g} {unit}/s, began {0.5 * way:g} before that"
+        expect_raises(StateError, partial(start_from, here - 0.5 * way), what)
+    seen_ns, here = bench.runtime.now_ns(), motor.position()
+    try:
+        start_from(here)
+    except StateError as error:
+        took_s = elapsed_s(bench, seen_ns)
+        expect(took_s > _PASSES_S, f"after {took_s:g} s at {velocity:g} {unit}/s: {error}")
+        motor.stop()  # the wall clock has gone on
+        finish(bench, motor)
+        return
+    finish(bench, motor, shortest_s(motor, 2.0 * way))
+    expect_at(bench, motor, here + way, f"after a trajectory from {here:g} {unit}, in motion")
 
 
 @clause(
