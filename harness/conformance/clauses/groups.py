@@ -95,7 +95,7 @@ _FIRST = 0.01  # of a streamed move: it has begun
 _LITTLE = 0.05  # of the largest torque
 _FAR = 1e-6  # U: two skews that are not meant to differ
 _INSTANTS = 400  # of a pair of profiles
-_HEARD = 5  # positions of each member: some can be compared
+_COMPARED = 5  # positions of each member: some can be compared
 _HEARD_S = 0.005
 
 
@@ -777,7 +777,7 @@ def _expect_line(
     )
     path, often = group.sync_quality().path, min(map(len, heard))
     expect(
-        often < _HEARD or all(one.deviation is not None for one in path),
+        often < _COMPARED or all(one.deviation is not None for one in path),
         f"{often} positions of each member came in its motion, and none was compared: {path}",
     )
     reported = max(one.deviation or 0.0 for one in path)
