@@ -67,6 +67,7 @@ _RELEASED: Final = -1.0
 _NEITHER: Final = 1e9 + 0.5
 _IN_UNITS: Final = ("_c", "_v")
 """Ends of the names of inputs in degrees Celsius and in volts, none of which can be so large."""
+_LEGIBLE: Final = 1000  # characters of an error
 _ALLOWED: Final = re.compile(r"expected (-?\d[-\d.e+, to]*)")
 _BOOTED_S: Final = 0.5
 _STIFFNESS: Final = "coupling_stiffness_n_m_rad"
@@ -733,6 +734,8 @@ def impossible_inputs_are_refused_with_limits(bench: RigProtocol) -> None:
                 text = bench.refusal(motor, name, value)
                 expect(not text, f"{name} = {value:g} (off, on or released): {text}")
         text = bench.refusal(motor, name, _NEITHER)
+        size = f"{len(text)} characters; expected <= {_LEGIBLE}"
+        expect(len(text) <= _LEGIBLE, f"{name} = {_NEITHER:g} is refused with {size}")
         if name.endswith(_IN_UNITS):
             values, told = (f"{_NEITHER:g}", f"{_NEITHER}"), text or "taken"
             is_told = name in text and any(one in text for one in values)
