@@ -1,14 +1,11 @@
-"""L4: synchronised groups, the reported quality of synchronization, and failing members."""
+"""L4: starts and ends of synchronised groups, their quality, and operations on all members."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import suppress
 from functools import partial
-from itertools import product
-from math import hypot, inf, sqrt
+from math import inf, sqrt
 
 from motorhil.harness.conformance.bench import Ability, RigProtocol
-from motorhil.harness.conformance.clause import Level, NotApplicable, clause, expect
-from motorhil.harness.conformance.clauses.demands import jerk_of, least_s, shortest
+from motorhil.harness.conformance.clause import Level, clause, expect
 from motorhil.harness.conformance.clauses.helpers import (
     FINE_S,
     braking_distance,
@@ -19,14 +16,11 @@ from motorhil.harness.conformance.clauses.helpers import (
     expect_rest,
     expect_unmoved,
     failure_of,
-    fastest,
     finish,
     finish_group,
     follow,
     half_move,
-    in_phase,
     midway_s,
-    move,
     pair_of,
     position_of,
     reached,
@@ -50,19 +44,14 @@ from motorhil.motorapi import (
     ComplexTrajectory,
     ControlMode,
     ControlVariable,
-    DerivativeLimits,
-    FaultReaction,
-    LinkError,
     Motor,
     MotorGroup,
-    MotorState,
     SyncCapability,
     Synchronization,
     SynchronizationError,
     SyncLevel,
     SyncQuality,
     TrapezoidalTrajectory,
-    Trigger,
     UnsupportedError,
     UsageError,
 )
@@ -81,10 +70,7 @@ _STRIKES = 30  # attempts of one frame, a few milliseconds in all; 32 end in bus
 _TWO = {Ability.TRUTH, Ability.SECOND_MOTOR}
 _MOVES = {Capability.POSITION_TRAJECTORY}
 _ENDED = 1.0 - BEGUN
-_ARM = "_arm"
-_FRAMES = 16  # of the host, in the start of a pair
 _WATCHED_S = 0.2
-_LOOKS = 10  # at the positions, while no caller waits
 _LEVELS = ("SEQUENTIAL", "TRIGGERED", "CYCLIC")
 _STREAMED_S = 20.0
 _SPEED_S = 0.02
@@ -94,9 +80,6 @@ _SLOWLY = 0.1  # of the largest velocity
 _FIRST = 0.01  # of a streamed move: it has begun
 _LITTLE = 0.05  # of the largest torque
 _FAR = 1e-6  # U: two skews that are not meant to differ
-_INSTANTS = 400  # of a pair of profiles
-_COMPARED = 5  # positions of each member: some can be compared
-_HEARD_S = 0.005
 
 
 @clause(
@@ -680,397 +663,3 @@ def _expect_refused(
         partial(group.start, require=level, max_skew_s=skew_s),
         f"start(require={level}, max_skew_s={skew_s}) was not refused; the capability is {can}",
     )
-
-
-@clause(
-    "SYNC-08",
-    Level.L4,
-    needs=_MOVES,
-    bench=_TWO,
-    source="Synchronization.PHASE: at every instant all have the same share of their distance",
-)
-def phase_sync_stays_on_straight_line(bench: RigProtocol) -> None:
-    """Phase-synchronised motors stay on a straight line, within the predicted deviation."""
-    way = half_move(bench)
-    ways = (way, -0.4 * way)
-    group = pair_of(bench, *ways)
-    slowly = _SLOWLY * bench.motors[1].model.velocity_max
-    for limits in (None, DerivativeLimits(first=slowly)):
-        first, second = ways
-        group.set_trajectory(
-            TrapezoidalTrajectory(first), TrapezoidalTrajectory(second, limits=limits)
-        )
-        with in_phase(group):
-            track, took_s = _expect_line(bench, group, ways)
-        if limits is None:
-            most_s = 1.1 * _fastest_line_s(group, ways) + bench.facts.time_tolerance_s
-            expect(took_s <= most_s, f"the line took {took_s:.3f} s; limit {most_s:.3f} s")
-            continue
-        found = fastest([(at_ns / 1e9, at) for at_ns, (_, at) in track.samples])
-        unit = bench.motors[1].model.unit
-        expect(
-            found <= 1.1 * slowly,
-            f"{group[1].name}: limited to {slowly:g} {unit}/s, and {found:g} {unit}/s fast",
-        )
-    told = group.sync_quality().path
-    move(bench, group[0], 0.3 * way)
-    after = group.sync_quality().path
-    expect(after == told, f"one member moved alone later: the path was {told}, and is {after}")
-    for first in (0.2 * way, 0.0):
-        _expect_idle_member(bench, group, first)
-
-
-def _expect_idle_member(bench: RigProtocol, group: MotorGroup, way: float) -> None:
-    """Expect a member without a distance to be done at once, and to stay where it is."""
-    group.set_trajectory(TrapezoidalTrajectory(way), TrapezoidalTrajectory(0.0))
-    with in_phase(group):
-        group.start()
-        finish_group(bench, group)
-    idle = group.sync_quality().path[-1]
-    expect(
-        (idle.deviation or 0.0) <= 2.0 * bench.facts.following and bool(idle.source),
-        f"{group[1].name} had no distance to move, but its deviation from the path is {idle}",
-    )
-
-
-def _fastest_line_s(group: MotorGroup, ways: tuple[float, float]) -> float:
-    """Return the shortest time in which its members go their ways in proportion [s]."""
-    longest = max(map(abs, ways))
-    pairs = [(motor, abs(way) / longest) for motor, way in zip(group, ways, strict=True)]
-    return least_s(
-        longest,
-        min(motor.model.velocity_max / part for motor, part in pairs),
-        min(motor.model.acceleration_max / part for motor, part in pairs),
-        min(motor.model.deceleration / part for motor, part in pairs),
-        min(jerk_of(motor) / part for motor, part in pairs),
-    )
-
-
-def _expect_line(
-    bench: RigProtocol, group: MotorGroup, ways: tuple[float, float]
-) -> tuple[GroupPositions, float]:
-    """Start the group, and check that it stays on the line, as it tells.
-
-    Return its positions, and the time from the end of its start to the end of its motion [s].
-    """
-    can = group.sync_capability()
-    track = GroupPositions(bench, group)
-    heard: list[set[int]] = [set() for _ in group]
-    group.start()
-    timer = bench.runtime.every(_HEARD_S, partial(_note_heard, group, heard))
-    took_s = finish_group(bench, group)
-    timer.cancel()
-    track.end()
-    expect(len(can.path) == len(ways), f"a path of {len(can.path)} motors was predicted")
-    worst = _distance_from_line(track, ways)
-    predicted = max(one.predicted or 0.0 for one in can.path)
-    expect(
-        predicted <= 2.0 * bench.facts.following,
-        f"predicted deviation by rounding: {predicted:.6g}; too large",
-    )
-    late_s = bench.facts.latency_s[1] - bench.facts.latency_s[0]
-    allowed = 2.0 * bench.facts.following + predicted
-    allowed += (can.start_skew_s or late_s) * bench.motor.model.velocity_max
-    expect(
-        worst <= allowed,
-        f"deviation from the line: {worst:.6g}; allowed are {allowed:.6g}",
-    )
-    path, often = group.sync_quality().path, min(map(len, heard))
-    expect(
-        often < _COMPARED or all(one.deviation is not None for one in path),
-        f"{often} positions of each member came in its motion, and none was compared: {path}",
-    )
-    reported = max(one.deviation or 0.0 for one in path)
-    expect(reported <= 2.0 * allowed, f"deviation: {reported:.6g} reported; {worst:.6g} measured")
-    _expect_rounding(group)
-    return track, took_s
-
-
-def _note_heard(group: MotorGroup, heard: Sequence[set[int]]) -> None:
-    """Note the time of the last position that each member has told, with power."""
-    for motor, times in zip(group, heard, strict=True):
-        latest = motor.latest()
-        if latest is None or latest.position is None:
-            continue
-        if latest.state is MotorState.ENABLED:
-            times.add(latest.time_ns)
-
-
-def _expect_rounding(group: MotorGroup) -> None:
-    """Check the predicted deviations of a start: those of the profiles that the hardware makes.
-
-    "Nearest" on the line is measured in the time that each motor needs at its top speed.
-    """
-    runs = [(motor, motor.logical.physical.run) for motor in group]
-    made = [
-        (one, one.logical.hooks.quantise(run.motion)) for one, run in runs if run and run.motion
-    ]
-    if len(made) < len(group) or any(jerk_of(motor) != inf for motor in group):
-        return
-    speeds = [motor.model.velocity_max for motor in group]
-    ways = [motion.distance for _, motion in made]
-    limits = [(one.distance, one.velocity, one.acceleration, one.deceleration) for _, one in made]
-    demands = [shortest(*one) for one in limits]
-    last_s = max(least_s(*one) for one in limits)
-    square = sum((way / top) ** 2 for way, top in zip(ways, speeds, strict=True))
-    worst = [0.0 for _ in group]
-    for step in range(_INSTANTS):
-        at = [demand(last_s * step / _INSTANTS) for demand in demands]
-        parts = zip(at, ways, speeds, strict=True)
-        share = sum(gone * way / top**2 for gone, way, top in parts) / square
-        off = [abs(gone - share * way) for gone, way in zip(at, ways, strict=True)]
-        worst = [max(pair) for pair in zip(worst, off, strict=True)]
-    for one, found, way in zip(group.sync_quality().path, worst, ways, strict=True):
-        told = one.predicted or 0.0
-        expect(
-            abs(told - found) <= 0.05 * found + 1e-9 * abs(way),
-            f"{one.motor}: deviation by rounding predicted as {told:.6g}; the profiles of its"
-            f" hardware deviate by {found:.6g}",
-        )
-
-
-def _distance_from_line(track: GroupPositions, ways: tuple[float, float]) -> float:
-    """Return the largest distance of the motors from the line between start and end [U]."""
-    first, second = track.samples[0][1]
-    length = hypot(*ways)
-    return max(
-        abs((a - first) * ways[1] - (b - second) * ways[0]) / length for _, (a, b) in track.samples
-    )
-
-
-@clause(
-    "SYNC-12",
-    Level.L4,
-    needs=_MOVES,
-    bench=_TWO,
-    source="MotorGroup.start: if one refuses, none moves; paper 3.3.3, only without errors",
-)
-def refused_member_keeps_all_at_rest(bench: RigProtocol) -> None:
-    """If the start of one member is refused, no member moves; the next start moves all of them."""
-    way = half_move(bench)
-    motors = bench.motors[:2]
-    group = pair_of(bench, *(0.2 * way for _ in motors))
-    group.start()
-    finish_group(bench, group)  # both motors are now fully set up
-    for place, motor in enumerate(motors):
-        for what, trouble in _refusals(bench, motor, way):
-            before = positions_of(bench, group)
-            ways: list[TrapezoidalTrajectory] = trajectories_of(way, way)
-            with trouble as instead:
-                if instead is not None:
-                    ways[place] = instead
-                group.set_trajectory(*ways)
-                error = failure_of(group.start)
-                expect(error is not None, f"{motor.name} {what}, but its group was started")
-                rest_for(bench, _WATCHED_S)
-                for one, was in zip(motors, before, strict=True):
-                    expect_unmoved(bench, one, was, f"{motor.name} {what}: {one.name}")
-            rest_for(bench, _WATCHED_S)
-            for one, was in zip(motors, before, strict=True):
-                expect_unmoved(bench, one, was, f"{motor.name} {what}: later, {one.name}")
-        for mover, other in (reversed(motors), motors):  # one that stayed armed would begin, too
-            was = position_of(bench, other)
-            move(bench, mover, 0.2 * way)
-            expect_unmoved(bench, other, was, f"{mover.name} moves alone: {other.name}")
-    before = positions_of(bench, group)
-    group.set_trajectory(*trajectories_of(-way, -way))
-    group.start()
-    finish_group(bench, group)
-    expect_group_moved(bench, group, before, (-way, -way), "after starts that were refused")
-
-
-def _refusals(
-    bench: RigProtocol, motor: Motor, way: float
-) -> Iterator[tuple[str, AbstractContextManager[TrapezoidalTrajectory | None]]]:
-    """Yield reasons to refuse a motor, in words, and each reason with its trajectory, if any."""
-    here = motor.position()
-    far = here - way - 2.0 * motor.model.start_tolerance
-    limits = DerivativeLimits(value=(here - way, here + 0.5 * way))
-    yield "would leave its limits", nullcontext(TrapezoidalTrajectory(way, limits=limits))
-    yield "is elsewhere", nullcontext(TrapezoidalTrajectory(here, far))
-    if Ability.SEVERAL_USERS in bench.abilities:
-        yield "is reserved", _reserved(bench.another_user_of(motor))
-    yield "cannot be armed", _not_armed(motor)
-
-
-@contextmanager
-def _reserved(user: Motor) -> Iterator[None]:
-    with user.reserve("a clause"):
-        yield None
-
-
-@contextmanager
-def _not_armed(motor: Motor) -> Iterator[None]:
-    """Let the hook that arms this motor fail, after those before it have been armed."""
-
-    def refuse(*_: object, **__: object) -> Trigger:
-        raise LinkError(link=motor.name, reason="refused by a clause")
-
-    setattr(motor, _ARM, refuse)
-    try:
-        yield None
-    finally:
-        delattr(motor, _ARM)
-
-
-@clause(
-    "SYNC-05",
-    Level.L4,
-    needs=_MOVES,
-    bench={*_TWO, Ability.CUT, Ability.AFRESH},
-    source="MotorGroup.start: if one refuses, none moves",
-)
-def group_with_lost_member_does_not_move(bench: RigProtocol) -> None:
-    """If one member does not answer when it is armed, no member moves, then or later."""
-    _require_separate_cables(bench)
-    for lost in (1, 0):
-        bench.afresh()
-        way = 0.5 * half_move(bench)
-        group = pair_of(bench, way, -way)
-        group.start()
-        group.wait_until_done(10.0)  # both motors are now fully set up
-        refusing, other = bench.motors[lost], bench.motors[1 - lost]
-        before = position_of(bench, other)
-        is_one_signal = group.sync_capability().level >= SyncLevel.TRIGGERED
-        with bench.cut(refusing):
-            if not is_one_signal:  # else the others begin before its loss is known
-                rest_for(bench, bench.facts.lost_s)
-            error = failure_of(group.start)
-            rest_for(bench, bench.facts.lost_s)
-        expect(error is not None, f"{refusing.name} does not answer, but start() returned")
-        rest_for(bench, 1.0)
-        expect_unmoved(bench, other, before, f"{refusing.name} refused: {other.name}")
-        _start_alone(bench, refusing)
-        expect_unmoved(bench, other, before, f"{refusing.name} refused: later {other.name}")
-
-
-def _require_separate_cables(bench: RigProtocol) -> None:
-    first, second = bench.motors[:2]
-    second.enable()
-    with bench.cut(first):
-        rest_for(bench, bench.facts.lost_s)
-        if second.state() is not MotorState.ENABLED:
-            raise NotApplicable(f"{second.name} and {first.name} share a cable")
-
-
-def _start_alone(bench: RigProtocol, motor: Motor) -> None:
-    """Start a motion of this motor alone, so that any common start signal is sent again."""
-    motor.reset_fault()
-    motor.enable()
-    way = 0.25 * half_move(bench)
-    try:
-        follow(motor, smooth_move(motor, way))
-    except UnsupportedError:
-        move(bench, motor, way)
-        return
-    finish(bench, motor, 10.0)
-
-
-@clause(
-    "SYNC-06",
-    Level.L4,
-    needs={*_MOVES, Capability.COMMON_TRIGGER},
-    bench={*_TWO, Ability.SILENCE_HOST, Ability.AFRESH},
-    source="MotorHooks._arm: in the hardware, confirmed; decision 0010, arm, then fire",
-)
-def lost_start_frame_moves_all_or_none(bench: RigProtocol) -> None:
-    """Whichever frame of a common start is lost, all members move, or none and start() fails."""
-    hit, halved = 0, None
-    for skip in range(_FRAMES):
-        bench.afresh()
-        way = half_move(bench)
-        group = pair_of(bench, 0.1 * way, -0.1 * way)
-        group.start()
-        finish_group(bench, group)  # both motors are now fully set up
-        group.set_trajectory(*trajectories_of(way, -way))
-        before = positions_of(bench, group)
-        with bench.silence_host(skip=skip, limit=1) as lost:
-            error = failure_of(group.start)
-            hit += lost()
-        which = f"frame {skip + 1} of the host was lost"
-        if error is None:
-            finish_group(bench, group)
-            expect_group_moved(bench, group, before, (way, -way), which)
-            continue
-        rest_for(bench, 1.0)
-        for motor in group:
-            expect_rest(bench, motor, f"{which}, start() failed: {motor.name}")
-        ways = zip(before, positions_of(bench, group), strict=True)
-        if halved is None and any(abs(now - was) > 0.1 * way for was, now in ways):
-            halved = skip
-        first, second = bench.motors[:2]
-        rested = position_of(bench, first)
-        _start_alone(bench, second)
-        expect_unmoved(bench, first, rested, f"{which}, start() failed; later, {first.name}")
-    reached(hit > 0, "the loss of a frame")
-    if halved is not None:
-        _expect_failed_start_is_stopped(bench, halved)
-
-
-def _expect_failed_start_is_stopped(bench: RigProtocol, skip: int) -> None:
-    """Expect that a start of which one member fails ends a slow motion of the others, too."""
-    bench.afresh()
-    way, group = half_move(bench), pair_of(bench, 0.0, 0.0)
-    limits = DerivativeLimits(first=_SLOWLY * min(motor.model.velocity_max for motor in group))
-    for side in (1.0, -1.0):  # with the first one, both motors are fully set up
-        ways = side * way, -side * way
-        group.set_trajectory(*(TrapezoidalTrajectory(one, limits=limits) for one in ways))
-        with bench.silence_host(skip=skip, limit=1) if side < 0.0 else nullcontext():
-            error = failure_of(group.start)
-        if side > 0.0:
-            finish_group(bench, group)
-    rest_for(bench, 0.5)
-    for motor in group if error is not None else ():
-        what = f"frame {skip + 1} of the host was lost, start() of a slow motion failed"
-        expect_rest(bench, motor, f"{what}: {motor.name}")
-
-
-@clause(
-    "SYNC-09",
-    Level.L4,
-    needs={*_MOVES, Capability.FAULTS},
-    bench={*_TWO, Ability.FAULT, Ability.AFRESH},
-    source="FaultReaction; requirement 5, synchronised motions",
-)
-def member_fault_causes_set_reaction(bench: RigProtocol) -> None:
-    """If one member fails, the others react as set: stop or continue, also if no caller waits."""
-    for reaction, waits in product(FaultReaction, (True, False)):
-        bench.afresh()
-        way = 3.0 * half_move(bench)
-        group = pair_of(bench, way, -way)
-        is_together = reaction is FaultReaction.TOGETHER
-        group.fault_reaction = reaction
-        failing, other = bench.motors[:2]
-        waiting = "a caller waits" if waits else "no caller waits"
-        what = f"{failing.name} failed with reaction {reaction.name} while {waiting}"
-        before = position_of(bench, other)
-        try:
-            with in_phase(group) if is_together else nullcontext():
-                group.start()
-        except NotApplicable:
-            continue
-        rest_for(bench, midway_s(other, way, 0.2))
-        bench.fail(failing)
-        error = failure_of(partial(group.wait_until_done, 10.0)) if waits else None
-        notes = " ".join(getattr(error, "__notes__", ()))
-        is_named = f"from {failing.name}" in notes
-        expect(is_named or not waits, f"{what}: {error} with the notes {notes!r}")
-        for _ in range(_LOOKS):
-            rest_for(bench, shortest_s(other, way) / _LOOKS)
-            failing.position()  # a host that only polls when asked to notices the fault now
-        expect_rest(bench, other, f"{what}: {other.name}")
-        made = abs(position_of(bench, other) - before) / abs(way)
-        continues = reaction is FaultReaction.NONE
-        expect(continues is (made > 0.98), f"{what}: {other.name} made {made:.0%}")
-        if not waits:
-            error = failure_of(partial(group.wait_until_done, 10.0))
-        expect(error is not None, f"{what}, but its group reported done")
-    bench.afresh()
-    alone = pair_of(bench, 3.0 * half_move(bench))
-    alone.start()
-    rest_for(bench, midway_s(bench.motor, half_move(bench), 0.2))
-    bench.fail(bench.motor)
-    error = failure_of(partial(alone.wait_until_done, 10.0))
-    expect(error is not None, "the only member of a group failed, but the group reported done")
-    told = [note for note in getattr(error, "__notes__", ()) if "others of its group" in note]
-    expect(not told, f"the only member of a group failed, and the error tells of others: {told}")
