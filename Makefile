@@ -64,11 +64,11 @@ nightly: $(READY)  ## what repeats: Hypothesis with new seeds and many examples,
 
 # Import contracts and documents have tests, so that these need not be checked before. What ships is
 # what is tested; then the sources, with fewer random examples. Without a compiler they meet all tests.
-# The cores are built beside the checks, since one processor idles while mypyc translates. From
-# nothing they are built at -O1, in half the time: they round the same, and are 5 % slower.
+# The cores are built beside the checks, since one processor idles while mypyc translates. Where none
+# are, they are built at -O1, in half the time: they round the same, and are 5 % slower.
 test: $(READY)  ## everything that must hold, on one machine, in minutes; PURE=1: the sources alone
 	@if [ "$(PURE)" = 1 ] || ! command -v $${CC:-cc} > /dev/null; then cores=; else cores=compiled; fi; \
-	if [ -d build/compiled ]; then level=$(OPTIMISE); else level=1; fi; \
+	case "$$(cat $(COMPILED)/.source 2>/dev/null)" in "" | *" 1") level=1;; *) level=$(OPTIMISE);; esac; \
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=line OPTIMISE=$$level $$cores types style $(BYTECODE)/.made && \
 	if [ -z "$$cores" ]; then exec $(BIN)/python -m pytest $(WORKERS); fi && \
 	$(MAKE) --no-print-directory --jobs 2 working-tests source-tests
