@@ -28,10 +28,9 @@ _LENGTHS: Final = (0x0607_0010, 0x0607_0012, 0x0607_0013)
 _VALUES: Final = (0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0609_0036, 0x0800_0000, 0x0800_0020)
 _COMMANDED: Final = {
     od.SHUTDOWN: State.READY_TO_SWITCH_ON,
-    od.SWITCH_ON: State.SWITCHED_ON,
-    od.ENABLE: State.OPERATION_ENABLED,
+    **dict.fromkeys((od.SWITCH_ON, od.ENABLE), State.SWITCH_ON_DISABLED),
 }
-"""The states that levels of 6040h command."""
+"""The states that levels of 6040h command at power-on: transition 2, the others come later."""
 _TARGETS: Final = {
     **dict.fromkeys((Mode.PP, Mode.CSP), od.TARGET_POSITION),
     **dict.fromkeys((Mode.PV, Mode.CSV), od.TARGET_VELOCITY),
@@ -279,9 +278,10 @@ def objects_of_the_rig(bench: DriveBench) -> None:
         seen = int.from_bytes(data, "little")
         is_right = not (seen ^ wanted) & (1 << 8 * len(data)) - 1
         drive.expect(is_right, f'"{key}" of the rig', f"{wanted}", f"{data.hex(' ')}")
-    commanded = _COMMANDED.get(drive.read(od.CONTROLWORD))
-    if commanded is not None and any(key.startswith("6040") for key in stated):
-        drive.await_state(commanded, "power-on, with 6040h of the rig", "as 6040h commands")
+    if any(key.startswith("6040") for key in stated):
+        commanded = _COMMANDED.get(drive.find(od.CONTROLWORD) or 0)
+        if commanded is not None:
+            drive.await_state(commanded, "power-on, with 6040h of the rig", "as 6040h commands")
 
 
 def _expect_text_again(drive: Drive, stated: StatedObject) -> None:

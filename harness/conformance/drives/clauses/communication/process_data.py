@@ -10,12 +10,13 @@ from motorhil.harness.conformance.drives import objects as od
 from motorhil.harness.conformance.drives.bench import DriveBench
 from motorhil.harness.conformance.drives.clauses.communication.network import START
 from motorhil.harness.conformance.drives.client import SYNC, Frame
-from motorhil.harness.conformance.drives.drive import QUIET_S, Drive
+from motorhil.harness.conformance.drives.drive import QUIET_S, STATE_S, Drive
 from motorhil.harness.conformance.drives.kit import drive_clause
 from motorhil.harness.conformance.drives.objects import Entry, State
 
 _TYPES: Final = "CiA 301, 7.5.2.35 and 7.5.2.37, PDO transmission types"
 _INVALID: Final = 0x8000_0000
+_REMOTE: Final = (252, 253)  # transmission types of TPDOs that are asked for
 _INHIBIT_MS: Final = 50
 _TIMER_MS: Final = 40
 SYNC_S: Final = 0.01
@@ -48,7 +49,10 @@ def configure(
         raise NotApplicable(f"the drive has no {first:04X}h")
     usual = (0x200 if first == 0x1400 else 0x180) + drive.node_id
     identifier = identifier or cob_id & 0x7FF or usual
-    drive.set(parameter, cob_id & 0x3FFF_FFFF | _INVALID)
+    kept = (
+        0x3FFF_F800 if kind in _REMOTE else 0x7FFF_F800
+    )  # drives without RTR refuse another bit 30
+    drive.set(parameter, cob_id & (kept | 0x7FF) | _INVALID)
     drive.set(Entry(mapping, 0, "B", "number of mapped objects"), 0)
     for place, one in enumerate(entries, 1):
         drive.set(Entry(mapping, place, "I", "mapped object"), one.mapped)
@@ -58,7 +62,7 @@ def configure(
         entry = Entry(first, subindex, "H", name)
         if first == 0x1800 and (value or drive.find(entry) is not None):
             drive.set(entry, value)
-    drive.set(parameter, cob_id & 0x3FFF_F800 | identifier)
+    drive.set(parameter, cob_id & kept | identifier)
     return identifier
 
 
@@ -236,22 +240,27 @@ def _expect_no_change_lost(drive: Drive) -> None:
 
     The TPDO has a higher identifier than the RPDO of the second change, which goes first.
     """
+    drive.become(State.SWITCH_ON_DISABLED, od.DISABLE_VOLTAGE, "transition 7")
     drive.client.node.nmt.send_command(_PRE_OPERATIONAL)
-    drive.command(od.DISABLE_VOLTAGE)
-    commands = configure(drive, 0x1400, (od.CONTROLWORD,), 255)
-    later = max(commands + 0x80, _LATER + drive.node_id)
     try:
+        commands = configure(drive, 0x1400, (od.CONTROLWORD,), 255)
+        later = max(commands + 0x80, _LATER + drive.node_id)
         identifier = configure(drive, 0x1800, (od.STATUSWORD,), 255, identifier=later)
     except NotApplicable:
-        return  # its identifiers are fixed
+        return  # its identifiers or mappings are fixed
     operational(drive)
     begin_ns = drive.now_ns
     for word in (od.SHUTDOWN, od.SWITCH_ON):
         drive.client.send_message(commands, struct.pack("<H", word))
-    drive.quiet()
-    heard = drive.client.heard(identifier, begin_ns)  # not later: a request may wake the drive
-    drive.await_state(State.SWITCHED_ON, "controlwords 0006h, 0007h", "transitions 2, 3")
-    seen = od.state_of(int.from_bytes(heard[-1].data[:2], "little")) if heard else None
+
+    def last() -> State | None:
+        heard = drive.client.heard(identifier, begin_ns)
+        return od.state_of(int.from_bytes(heard[-1].data[:2], "little")) if heard else None
+
+    drive.client.wait_for(lambda: last() is State.SWITCHED_ON, STATE_S)
+    seen = last()  # before any request, which may wake the drive
+    if od.state_of(drive.statusword()) is not State.SWITCHED_ON:
+        return  # it obeys controlwords once a cycle, and has met the second one alone
     what = f"6041h changes again while TPDO {identifier:03X}h waits for the bus"
     cause = "a change is lost while the TPDO is not sent yet"
     drive.expect(seen is State.SWITCHED_ON, what, "a TPDO with switched on", f"{seen}", cause)
