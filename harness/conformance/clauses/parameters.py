@@ -48,7 +48,7 @@ _OFF: Final = 0xFFFF_FFFF
 _LOOK_S: Final = 0.2
 _VALUES: Final = (0.5, 5.0)
 _TOO_LARGE: Final = 1e12
-_TOLD_RANGE: Final = re.compile(r"must be (-?[\d.e+-]+) to (-?[\d.e+-]*\d)")
+_TOLD_RANGE: Final = re.compile(r"must be (-?[\d.e+-]+) to (-?[\d.e+-]*\d)(?=$|;|\.$)")
 _PERIOD_MS: Final = 95
 _PDO_LENGTH: Final = 0x8210  # CiA 301, EMCY: PDO not processed due to length error
 _FIRST_RPDO: Final = 0x200  # CiA 301, predefined connection set
@@ -252,12 +252,13 @@ def _expect_told_range(kind: Callable[..., Any], name: str) -> None:
     error: Exception | None = None
     try:
         kind(**{name: _TOO_LARGE})
-    except (UsageError, TypeError) as refused:
+    except (UsageError, TypeError, OverflowError) as refused:
         error = refused
     found = _TOLD_RANGE.search(f"{error}")
     for end in () if found is None else found.groups():
         value = int(end) if end.lstrip("-").isdigit() else float(end)
-        refusal = failure_of(partial(kind, **{name: value}))
+        within = value if isinstance(value, int) else value * (1.0 - 1e-5)  # told in six digits
+        refusal = failure_of(partial(kind, **{name: within}))
         expect(refusal is None, f"{name} = {end} was refused: {refusal}; but {error}")
 
 

@@ -581,7 +581,7 @@ def _classes() -> Iterator[str]:
     """Yield the class of each object of the interface that is alive."""
     for one in gc.get_objects():
         module: Any = type(one).__module__
-        if isinstance(module, str) and module.startswith(_INTERFACE):
+        if isinstance(module, str) and module.startswith(_INTERFACE) and hasattr(one, "cancel"):
             yield type(one).__name__
 
 

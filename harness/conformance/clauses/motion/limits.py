@@ -255,7 +255,7 @@ def unsupported_mode_is_refused_with_list(bench: RigProtocol) -> None:
     refusal = failure_of(partial(follow, motor, smooth_move(motor, 0.1 * long_move(bench))))
     if isinstance(refusal, UnsupportedError):
         told = f"the refusal of a function lists what is not: {refusal}"
-        expect("None" not in f"{refusal}", told)
+        expect("None" not in f"{refusal}".replace(motor.name, ""), told)
     elif refusal is None:
         finish(bench, motor, 1.0)
 
