@@ -48,6 +48,7 @@ _OFF: Final = 0xFFFF_FFFF
 _LOOK_S: Final = 0.2
 _VALUES: Final = (0.5, 5.0)
 _TOO_LARGE: Final = 1e12
+_ROUNDED: Final = 1e-5  # of a range whose ends are told in six digits
 _TOLD_RANGE: Final = re.compile(r"must be (-?[\d.e+-]+) to (-?[\d.e+-]*\d)(?=$|;|\.$)")
 _PERIOD_MS: Final = 95
 _PDO_LENGTH: Final = 0x8210  # CiA 301, EMCY: PDO not processed due to length error
@@ -255,11 +256,14 @@ def _expect_told_range(kind: Callable[..., Any], name: str) -> None:
     except (UsageError, TypeError, OverflowError) as refused:
         error = refused
     found = _TOLD_RANGE.search(f"{error}")
-    for end in () if found is None else found.groups():
-        value = int(end) if end.lstrip("-").isdigit() else float(end)
-        within = value if isinstance(value, int) else value * (1.0 - 1e-5)  # told in six digits
-        refusal = failure_of(partial(kind, **{name: within}))
-        expect(refusal is None, f"{name} = {end} was refused: {refusal}; but {error}")
+    if found is None:
+        return
+    low, high = map(float, found.groups())
+    rounding = 0.0 if low.is_integer() and high.is_integer() else _ROUNDED * (high - low)
+    for end in (low + rounding, high - rounding):
+        value = end if rounding else int(end)
+        refusal = failure_of(partial(kind, **{name: value}))
+        expect(refusal is None, f"{name} = {value:g} was refused: {refusal}; but {error}")
 
 
 def _expect_refusals(motor: Motor, kind: Any, set_parameters: Callable[[Any], None]) -> None:
