@@ -88,6 +88,12 @@ def rest_for(bench: RigProtocol, duration_s: float) -> None:
     bench.runtime.wait_until(lambda: False, duration_s)
 
 
+def later(bench: RigProtocol, time_s: float, command: Callable[[], object]) -> None:
+    """Carry out a command in some time [s]; for another party."""
+    rest_for(bench, time_s)
+    command()
+
+
 def position_of(bench: RigProtocol, motor: Motor) -> float:
     """Return the motor's position [U]: the true one if the bench can see it."""
     if Ability.TRUTH in bench.abilities:

@@ -74,7 +74,6 @@ _NAMES: Final = {  # CiA 402-2: factors, and others that many drives lack
 }
 _NO_GAIN: Final = 41  # a sub-index of 60F9h that no drive has
 _VELOCITY_TPDO, _VELOCITY_MAP, _VELOCITY = 0x1801, 0x1A01, 0x606C  # CiA 301, TPDO 2; CiA 402-2
-_INVALID: Final = 0x8000_0000  # CiA 301, COB-ID used by TPDO: it does not exist
 
 
 def _parameters_of(motor: Motor) -> tuple[Any, Callable[[Any], None]]:

@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     failure_of,
     finish,
     follow,
+    later,
     long_move,
     midway_s,
     move,
@@ -871,7 +872,8 @@ def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
     for stop, share in _STOPS_IN_A_START:
         motor.disable()
         before = position_of(bench, motor)
-        party = bench.runtime.spawn("stop", partial(_after, bench, share * usual_s, stop, other))
+        stopping = partial(later, bench, share * usual_s, partial(stop, other))
+        party = bench.runtime.spawn("stop", stopping)
         prepare(motor, way)
         error = failure_of(motor.start)
         expect(party.join(_PATIENCE_S) and party.error is None, f"its stop: {party.error!r}")
@@ -884,10 +886,3 @@ def stop_during_start_is_not_overridden(bench: RigProtocol) -> None:
         made = abs(position_of(bench, motor) - before)
         expect(made < 0.9 * abs(way), f"{what}, but it moved {made:g} of {abs(way):g}")
         way = -way
-
-
-def _after(
-    bench: RigProtocol, time_s: float, command: Callable[[Motor], None], motor: Motor
-) -> None:
-    rest_for(bench, time_s)
-    command(motor)

@@ -61,7 +61,6 @@ _SOON_S = 0.05
 _BACK_S = 1.0
 _COASTS_S: Final = 1.0
 """The time in which a motor without power comes to rest, as far as clauses need it [s]."""
-_SLOW: Final = 3.0
 _PLACES: Final = 12
 _LENGTHS_S: Final = (0.3, 0.02)
 _ONCE: Final = 1.5  # of the distance: the motor may coast after the failure

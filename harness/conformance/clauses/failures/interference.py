@@ -23,6 +23,7 @@ from motorhil.harness.conformance.clauses.helpers import (
     finish_group,
     follow,
     is_over_soon,
+    later,
     long_move,
     move,
     pair_of,
@@ -41,7 +42,6 @@ from motorhil.motorapi import (
     LinkError,
     MotionInterrupted,
     Motor,
-    MotorGroup,
     MotorState,
     SyncLevel,
     TrapezoidalTrajectory,
@@ -161,7 +161,7 @@ def _expect_stop_before_signal(bench: RigProtocol, way: float) -> None:
         if isinstance(failure_of(partial(group.for_each, Motor.enable)), UsageError):
             return  # they use a clock signal at rest, of another period
         for share in (0.3, 0.6, 0.9, 1.2):
-            stop = partial(_stop_after, bench, group, share * _SELDOM_S)
+            stop = partial(later, bench, share * _SELDOM_S, group.stop)
             party = bench.runtime.spawn("stop", stop)
             error = failure_of(group.start)
             expect(party.join(_HEARD_S) and party.error is None, f"stop(): {party.error!r}")
@@ -173,11 +173,6 @@ def _expect_stop_before_signal(bench: RigProtocol, way: float) -> None:
             for motor in group:
                 finish(bench, motor)
                 expect_rest(bench, motor, what)
-
-
-def _stop_after(bench: RigProtocol, group: MotorGroup, time_s: float) -> None:
-    rest_for(bench, time_s)
-    group.stop()
 
 
 def _enabled_stream(motor: Motor, way: float) -> None:

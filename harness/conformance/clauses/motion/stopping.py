@@ -48,7 +48,6 @@ from motorhil.motorapi import (
 )
 
 _EXAMPLES: Final = 6
-_SHARE: Final = 0.5
 _COAST_S: Final = 30.0
 _JITTER_S: Final = 0.002
 _SPARE: Final = 0.15  # of a move

@@ -31,7 +31,6 @@ _INVALID: Final = 1 << 31
 _INHIBIT_MS: Final = 40
 _INCOMPATIBLE: Final = 0x0604_0043
 _LSS_REQUEST, _LSS_ANSWER = 0x7E5, 0x7E4
-_UNCONFIGURED: Final = 0xFF
 _NUMBERS: Final = tuple(
     Entry(0x1018, place, "I", name)
     for place, name in enumerate(("vendor-ID", "product code", "revision", "serial number"), 1)
