@@ -423,6 +423,10 @@ class Drive:
         window = self.find(od.POSITION_WINDOW)
         return 2 if window is None or window >= 0xFFFF_FFFF else window + 2
 
+    def range_span(self) -> int:
+        """Return the span of positions between the ends of 607Bh, or 0 without them."""
+        return (self.find(od.RANGE_MAX) or 0) - (self.find(od.RANGE_MIN) or 0)
+
     def cruise(self, pace: Pace) -> None:
         """Enable pv, or else pp, and run until the speed of `pace` is reached within 5 %."""
         if self.has_mode(Mode.PV):

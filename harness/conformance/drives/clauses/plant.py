@@ -542,7 +542,7 @@ def wakes_are_late(bench: DriveBench) -> None:
 def _expect_true_position(bench: DriveBench, jitter_s: float) -> None:
     """Expect 6064h of a turning motor to be true, but for the time that it takes to tell."""
     drive = bench.drive
-    span = (drive.find(od.RANGE_MAX) or 0) - (drive.find(od.RANGE_MIN) or 0)
+    span = drive.range_span()
     pace = drive.pace()
     per_rad = scale(bench, pace)
     drive.cruise(pace)

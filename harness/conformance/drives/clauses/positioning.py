@@ -374,7 +374,7 @@ def _expect_no_jump(drive: Drive, pace: Pace, gains: dict[Entry, int]) -> None:
     track = drive.watch(od.POSITION, lambda _: False, _CRUISING_S)
     drive.command(od.DISABLE_VOLTAGE)
     slack = drive.window() + 2.0 * pace.speed * pace.sample_s  # a sample is of any time in it
-    span = (drive.find(od.RANGE_MAX) or 0) - (drive.find(od.RANGE_MIN) or 0)
+    span = drive.range_span()
     for before, after in pairwise(track):
         if 0 < span < 2 * abs(after.value - before.value):
             continue  # from one end of 607Bh to the other
