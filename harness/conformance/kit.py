@@ -14,6 +14,7 @@ _MODULES: Final = (
     "identity",
     "messages",
     "settings",
+    "rig_settings",
     "motion.measurements",
     "motion.setpoints",
     "motion.trajectories",

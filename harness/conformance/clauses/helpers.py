@@ -10,7 +10,7 @@ from math import cbrt, inf, sqrt
 from typing import TYPE_CHECKING, Final, final
 
 from motorhil.frozen import frozen
-from motorhil.harness.conformance.bench import Ability, Lost, RigProtocol
+from motorhil.harness.conformance.bench import Ability, Lost, RigProtocol, Stated
 from motorhil.harness.conformance.clause import NotApplicable, Violated, expect
 from motorhil.harness.conformance.clauses.demands import jerk_of, least_s
 from motorhil.harness.rig.config.conformance import Capability
@@ -697,3 +697,15 @@ def expect_group_moved(
     """Check that each member has moved by its distance."""
     for motor, was, way in zip(group, before, ways, strict=True):
         expect_moved(bench, motor, was, way, what)
+
+
+def stated_settings(bench: RigProtocol) -> Stated:
+    """Return what the adaptation declares of the motor's settings.
+
+    Raises:
+        NotApplicable: it declares none.
+    """
+    found = bench.stated()
+    if found is None:
+        raise NotApplicable("the adaptation declares no settings")
+    return found
