@@ -359,6 +359,7 @@ class MotorHooks(Device, ABC):
 
         This hook, `_quick_stop` and `_halt` are called without a transaction, possibly from a
         callback and while another thread is inside another hook of this motor: send, do not wait.
+        A motor without power has nothing to stop, and must not refuse it.
         """
 
     # ---- capabilities of the hardware: answered at once, without the bus ----
