@@ -15,8 +15,8 @@ from motorhil.harness.rig.config.toml import RigError
 from motorhil.harness.swarm.engine import (
     Cluster,
     WorkerDied,
-    WorkerProcess,
     WorkerRefused,
+    profile_of,
     run_chunk,
 )
 from motorhil.harness.swarm.lanes import LANES, batch_of, lane_of
@@ -204,15 +204,10 @@ def with_profile(plan: Plan) -> Plan:
     Raises:
         RigError: the program fails without any disturbance.
     """
-    worker: WorkerProcess | None = None
     try:
-        worker = WorkerProcess(plan.as_table())
-        row, profile = worker.profile()
+        row, profile = profile_of(plan.as_table())
     except (WorkerDied, WorkerRefused) as error:
         raise RigError(plan.rig, f"the undisturbed run: {error}") from None
-    finally:
-        if worker is not None:
-            worker.close()
     if row.is_bad or profile is None:
         first = "pytest" if plan.program.kind == PYTEST else "motorhil run"
         what = f"the program fails without any disturbance: {row.text or row.result.value}"

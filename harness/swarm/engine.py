@@ -2,7 +2,8 @@
 
 An engine is an executor of `concurrent.futures`: threads on this machine, or a cluster of dask.
 Each of its threads keeps one worker process. Results are the rows; an engine that loses some loses
-time, never rows that were written.
+time, never rows that were written. The worker that ran the undisturbed world is not started again:
+the first chunk of its campaign in this process takes it over.
 """
 
 import json
@@ -51,13 +52,21 @@ class WorkerProcess:
             start_new_session=True,  # Ctrl-C reaches the campaign, which ends it
         )
         try:
-            answer = self._ask({"plan": plan})
-            refused = json.loads(answer)["refused"]
-            if refused:
-                raise WorkerRefused(refused)
+            self.begin(plan)
         except BaseException:
             self.close()
             raise
+
+    def begin(self, plan: dict[str, Any]) -> None:
+        """Go on with another plan; little is done anew if only its profile differs.
+
+        Raises:
+            WorkerDied: the worker has ended.
+            WorkerRefused: it has another version or other files.
+        """
+        refused = json.loads(self._ask({"plan": plan}))["refused"]
+        if refused:
+            raise WorkerRefused(refused)
 
     @property
     def pid(self) -> int:
@@ -124,6 +133,47 @@ class WorkerProcess:
 
 _OWN = threading.local()
 _ALL: Final[list[WorkerProcess]] = []
+_SPARE: Final[list[tuple[dict[str, Any], WorkerProcess]]] = []
+"""The worker of the last undisturbed run, and its plan; its operations are atomic."""
+
+
+def profile_of(plan: dict[str, Any]) -> tuple[Row, Profile | None]:
+    """Run the undisturbed world, as `WorkerProcess.profile`, in a worker for its campaign.
+
+    Raises:
+        WorkerDied: the worker ended before.
+        WorkerRefused: it has another version or other files, or cannot write records.
+    """
+    _end_spare()
+    worker = WorkerProcess(plan)
+    try:
+        found = worker.profile()
+    except BaseException:
+        worker.close()
+        raise
+    _SPARE.append((plan, worker))
+    return found
+
+
+def _spare_of(plan: dict[str, Any]) -> WorkerProcess | None:
+    """Return the worker that ran the undisturbed world of this plan, if there is one."""
+    try:
+        known, worker = _SPARE.pop()
+    except IndexError:
+        return None
+    try:
+        if known == plan | {"profile": None}:
+            worker.begin(plan)
+            return worker
+    except (WorkerDied, WorkerRefused):  # a new one tells why
+        pass
+    worker.close()
+    return None
+
+
+def _end_spare() -> None:
+    with suppress(IndexError):
+        _SPARE.pop()[1].close()
 
 
 def run_chunk(plan: dict[str, Any], request: dict[str, Any]) -> list[str]:
@@ -148,7 +198,7 @@ def _worker_of(plan: dict[str, Any]) -> WorkerProcess:
     """Return this thread's worker process, a new one for a new plan."""
     if getattr(_OWN, "plan", None) != plan:
         _forget()
-        _OWN.worker, _OWN.plan = WorkerProcess(plan), plan
+        _OWN.worker, _OWN.plan = _spare_of(plan) or WorkerProcess(plan), plan
         _ALL.append(_OWN.worker)
     worker: WorkerProcess = _OWN.worker
     return worker
@@ -171,6 +221,7 @@ def worker_pids() -> list[int]:
 
 def end_workers() -> None:
     """End all worker processes of this process."""
+    _end_spare()
     while _ALL:
         _ALL.pop().close()
 

@@ -1,7 +1,8 @@
 """Worker process: runs worlds of one plan in forked children.
 
 Requests and answers are lines of JSON. The first request is the plan; the answer is the reason why
-this worker refuses it, or "". A request for a chunk is answered by its rows and "done".
+this worker refuses it, or "". The plan may come again with its profile. A request for a chunk is
+answered by its rows and "done".
 
 A batch of short worlds shares a child, until one of them does not pass or leaves anything in the
 process. A world that fails, hangs or dies there runs again alone, and its row is that of the second
@@ -81,7 +82,7 @@ def _serve(requests: Iterable[str], answers: TextIO, folder: Path) -> None:
         if "plan" in request:
             plan = plan_from(request["plan"])
             refused = refusal(plan)
-            if not refused:
+            if not refused and (worker is None or not worker.goes_on(plan)):
                 worker = Worker(plan, folder)
             answer: Iterable[str] = [json.dumps({"refused": refused}) + "\n"]
         else:
@@ -159,6 +160,13 @@ class Worker:
         self._tidy()
         gc.collect()
         gc.freeze()  # children share what they do not look at
+
+    def goes_on(self, plan: Plan) -> bool:
+        """Take a plan that differs from this one in its profile alone; return False for others."""
+        if replace(plan, profile=self._plan.profile) != self._plan:
+            return False
+        self._plan = plan
+        return True
 
     def answer(self, request: dict[str, Any]) -> Iterable[str]:
         """Yield the lines of the answer to a request."""

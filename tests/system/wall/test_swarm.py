@@ -316,6 +316,38 @@ def test_shrinking_outlives_its_worker(folder):
         end_workers()
 
 
+@pytest.fixture
+def started(monkeypatch):
+    """Return the worker processes that were started, as a list that grows."""
+    found = []
+
+    class Worker(subprocess.Popen):
+        def __init__(self, *words, **options):
+            super().__init__(*words, **options)
+            found.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Worker)
+    return found
+
+
+def test_campaign_goes_on_in_the_process_of_its_undisturbed_run(folder, started):
+    one = plan("calm")
+    campaign(one, create(folder / "out", one), range(8))
+    assert len(started) == 1
+    campaign(one, create(folder / "again", one), range(8))  # which has ended with the first one
+    assert len(started) == 2
+    assert lines("out") == lines("again")
+    assert all(has_ended(worker.pid) for worker in started)
+
+
+def test_campaign_of_another_program_starts_its_own_process(folder, started):
+    one = plan("deadly")
+    plan("calm")
+    campaign(one, create(folder / "out", one), range(2))
+    assert len(started) == 3  # that of each undisturbed run, and one more
+    assert all(has_ended(worker.pid) for worker in started)
+
+
 def test_ctrl_c_leaves_no_process_and_whole_results(folder):
     os.mkfifo("pids")
     words = ("swarm", "rig.toml", "app:waiting", "--seeds", "8", "--workers", "1")
@@ -431,6 +463,7 @@ def test_failure_by_the_worlds_before_is_none(folder):
 def test_folder_that_a_killed_worker_left_is_removed_later(folder, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     table = plan("calm").as_table()
+    end_workers()
     first = WorkerProcess(table)
     (left,) = tmp_path.glob("motorhil-swarm-*")
     os.utime(left, (0, 0))
