@@ -12,6 +12,7 @@ PACKAGES := motorhil
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 # These mostly wait. They run beside all others, and go before them at the processor.
 WAITING := wall or vcan
+WAITING_FILES = $(shell grep -rlE 'mark\.(wall|vcan)' tests --include='test_*.py')
 
 DOCUMENTS := tests/architecture/test_docs_links.py tests/architecture/test_docs_language.py
 
@@ -75,7 +76,7 @@ test: $(READY)  ## everything that must hold, on one machine, in minutes; PURE=1
 
 waiting-tests: $(READY)
 	@unset MAKEFLAGS; $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "$(WAITING)" \
-	    > build/waiting.txt 2>&1; status=$$?; echo; cat build/waiting.txt; exit $$status
+	    $(WAITING_FILES) > build/waiting.txt 2>&1; status=$$?; echo; cat build/waiting.txt; exit $$status
 
 working-tests: $(READY)
 	@unset MAKEFLAGS; nice $(COMPILED)/bin/python -P -m pytest $(WORKERS) --cores compiled -m "not ($(WAITING))"
