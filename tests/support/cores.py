@@ -33,6 +33,7 @@ COMPILED_ALONE: Final = (
         "unit/motorapi/runtime/test_wall_*.py",
         "unit/harness/shared_time",
         "unit/harness/python_can",
+        "unit/traces/mcap/test_re*.py",
     ),
     *("properties/test_sharing*.py", "properties/test_skew*.py"),
     *("properties/test_formats*.py", "properties/test_d[ae]*.py", "properties/fuzz/*.py"),
