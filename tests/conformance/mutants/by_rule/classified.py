@@ -1,6 +1,6 @@
 """Classified survivors: `equivalent.toml`, read by people, with the reason for each.
 
-`known.toml` has some mutants of which the verdict is known; `make test` tries each sixth one, and
+`known.toml` has some mutants of which the verdict is known; `make test` tries each twelfth one, and
 `make nightly` all.
 """
 

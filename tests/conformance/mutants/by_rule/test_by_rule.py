@@ -139,7 +139,7 @@ def test_classified_survivors_are_readable():
 
 
 @pytest.mark.pure("a compiled function cannot be replaced; the pure cores have the same text")
-@pytest.mark.parametrize("stride", [6, pytest.param(1, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("stride", [12, pytest.param(1, marks=pytest.mark.nightly)])
 def test_mutants_have_their_known_verdicts(stride):
     words = ("-m", "tests.conformance.mutants.by_rule", "--known", str(stride))
     result = subprocess.run(
