@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, final
 
-from motorhil.harness.sharing_tests.history import Action, History, Use, to_line
+from motorhil.harness.sharing_tests.history import Action, History, Use, to_note
 from motorhil.harness.sharing_tests.processes import GRACE_S, Plan
 from motorhil.harness.sharing_tests.workers import INSIDE, OVER, Desk
 from motorhil.motorapi.locking.directory import VARIABLE
@@ -98,7 +98,7 @@ class _Arena:
         death.returned()
 
     def _write_use(self, use: Use) -> None:
-        os.write(self.log, f"{to_line(use)}\n".encode())
+        os.write(self.log, to_note(use))
 
     @property
     def pids(self) -> list[int]:

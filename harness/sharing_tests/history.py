@@ -276,6 +276,20 @@ def to_line(use: Use) -> str:
     )
 
 
+def to_note(use: Use) -> bytes:
+    """Return the use as a line for a file that several processes append to.
+
+    A process that is killed in the middle leaves a part of it (write(2) ends early at a page of the
+    file). So each note begins a line.
+    """
+    return f"\n{to_line(use)}\n".encode()
+
+
+def from_notes(text: str) -> list[Use]:
+    """Read uses from notes; a part of a note had no effect, and does not count."""
+    return from_lines(line for line in text.splitlines() if line.endswith("]"))
+
+
 def from_lines(lines: Iterable[str]) -> list[Use]:
     """Read uses from lines; the last line of each use counts."""
     uses: dict[tuple[str, str, Action, int], Use] = {}

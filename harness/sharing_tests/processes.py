@@ -33,6 +33,7 @@ from motorhil.harness.sharing_tests.history import (
     Use,
     ended_by_death,
     from_lines,
+    from_notes,
     overtaken,
     to_line,
     tokens_that_did_not_grow,
@@ -168,7 +169,7 @@ def run(plan: Plan) -> Outcome:
         if done.returncode:
             raise SharingViolated(f"the arena failed ({done.returncode}): {done.stderr}")
         result = json.loads(done.stdout)
-        uses = from_lines(Path(folder, "notes").read_text().splitlines())
+        uses = from_notes(Path(folder, "notes").read_text())
     # Other lines are messages for the user: "it moves for a process that died: it is halted".
     complaints = tuple(line for line in done.stderr.splitlines() if line.startswith("worker "))
     return Outcome(ended_by_death(uses), complaints=complaints, **result)

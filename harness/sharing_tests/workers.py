@@ -26,7 +26,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast, final
 
-from motorhil.harness.sharing_tests.history import Action, Answer, History, Note, Use, to_line
+from motorhil.harness.sharing_tests.history import Action, Answer, History, Note, Use, to_note
 from motorhil.harness.sharing_tests.processes import Plan
 from motorhil.motorapi import (
     ControlMode,
@@ -80,7 +80,7 @@ class Desk:
         self._log = log
 
     def _write_use(self, use: Use) -> None:
-        os.write(self._log, f"{to_line(use)}\n".encode())
+        os.write(self._log, to_note(use))
 
     @property
     def is_over(self) -> bool:

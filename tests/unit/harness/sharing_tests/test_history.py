@@ -8,8 +8,10 @@ from motorhil.harness.sharing_tests.history import (
     Use,
     ended_by_death,
     from_line,
+    from_notes,
     overtaken,
     to_line,
+    to_note,
     tokens_that_did_not_grow,
     worst_gap_s,
 )
@@ -100,3 +102,12 @@ def test_from_line_inverts_to_line():
     use = Use("a", "m", Action.TAKE, 1, 2, Answer.LOST, 5, 6, 7, True)
     assert from_line(to_line(use)) == use
     assert "\n" not in to_line(use)
+
+
+def test_note_that_its_writer_was_killed_in_is_none_wherever_it_ends():
+    before, cut, death = taken("a", 1, 2, 3), taken("b", 4, 5, 6), Use("b", "", Action.DIE, 7, 8)
+    note = to_note(cut)
+    for size in range(len(note)):
+        written = to_note(before) + note[:size] + to_note(death)
+        whole = [cut] if size == len(note) - 1 else []  # all but its newline
+        assert from_notes(written.decode()) == [before, *whole, death], size
