@@ -98,6 +98,8 @@ ONCE_ACCUSED = [
     ("quirk slow_sdo", "TRAJ-02", 6),  # start() had heard of it 1 ms late
     ("quirk slow_sdo", "TRAJ-05", 42),  # its ramp began before start() had the drive's answer
     ("quirk slow_sdo", "MEAS-03", 36),  # readings of up to 0.19 s met the peak by chance
+    ("quirk heartbeat_jitter", "LOST-13", 51),  # a short silence lost two heartbeats
+    ("quirk slow_sdo", "LOST-11", 159),  # it asked for four objects before done was told
     ("quirk slow_sdo", "FIT-02", 3),  # the steps before the one that is too slow took 0.1 s
     ("position limits in the drive", "MEAS-06", 1),  # they keep it from the end of its counter
     ("brakes gently", "TIME-01", 6),  # of a load whose least urgent message waits very long

@@ -192,11 +192,11 @@ def stop_of_other_program_acts(bench: RigProtocol) -> None:
     way = 2.0 * long_move(bench)
     for when, share in (("just begun", 0.0), ("on its way", 0.3)):
         before = position_of(bench, motor)
-        prepare(motor, way)
+        prepare(motor, way, _SLOW * shortest_s(motor, way))
         motor.start()
         rest_for(bench, midway_s(motor, way, share))
         other.stop()
-        rest_for(bench, 2.0 * shortest_s(motor, way))
+        rest_for(bench, 2.0 * _SLOW * shortest_s(motor, way))
         what = f"a stop by another program, of a motion {when}"
         expect_rest(bench, motor, what)
         went, unit = position_of(bench, motor) - before, motor.model.unit
