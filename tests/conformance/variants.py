@@ -8,6 +8,7 @@ from pathlib import Path
 from motorhil.harness.conformance.benches import variations
 from motorhil.harness.conformance.benches.variations import (
     APART,
+    NOT_BORNE,
     OWN,
     READ,
     VARIATIONS,
@@ -107,7 +108,7 @@ _NO_RPDOS = [
 _NO_TPDOS = [
     *of_drive(f'eds = "{_without("180.", "1A0.")}"'),
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),  # its answers come afterwards
-    ("borne_s = 0.09\n", ""),  # a wait that asks lasts longer
+    NOT_BORNE,  # a wait that asks lasts longer
 ]
 _TEN_MS = "AccessType=const DefaultValue=10"
 _OWN_PERIOD = "its set-point period is fixed"
@@ -116,7 +117,7 @@ _STATUS_ALONE = [  # the position fits into no PDO, and set-points come every 10
         f'eds = "{_changed(_without(), _6064="PDOMapping=0", _60C2sub1=_TEN_MS)}"',
     ),
     ("latency_s = [0.0, 0.001]", "latency_s = [-0.03, 0.001]"),
-    ("borne_s = 0.09\n", ""),
+    NOT_BORNE,
     (
         _SEEKING,
         f'{_SEEKING}\n[conformance.without]\ncomplex_position = "{_OWN_PERIOD}"\n'

@@ -66,7 +66,6 @@ _SLOW = 4.0  # times the shortest move: a stop can be repeated before its end
 _FIRST_OF_STOP = (2, 3)
 _SPEED_S = 0.02
 _LATE = 0.7  # of the time within which a loss is noticed
-_ASKED = 1.5  # of the tolerance of times: a host without statuswords asks for several objects
 _HOLDS = 0.2  # of the largest torque
 _GONE = (MotorState.OFFLINE, MotorState.FAULT)
 _CABLE = {Ability.TRUTH, Ability.CUT, Ability.AFRESH}
@@ -437,7 +436,7 @@ def _expect_end_in_time(bench: RigProtocol, motor: Motor, identifier: int) -> No
         rest_for(bench, _LATE * lost_s)
         error = failure_of(partial(finish, bench, motor, expected_s))
     took_s = elapsed_s(bench, begun_ns)
-    within_s = max(0.7 * expected_s, lost_s) + _ASKED * bench.facts.time_tolerance_s
+    within_s = max(0.7 * expected_s, lost_s) + bench.facts.time_tolerance_s
     expect(
         error is not None or took_s <= within_s,
         f"all frames {identifier:03X}h lost: done was reported {took_s:.3f} s later; expected"
